@@ -200,7 +200,7 @@ def _which_views(material: Material) -> str:
 def _same_answer(material: Material) -> str:
     data = material.scene.data
     order = np.random.default_rng(0).permutation(data.view_count)
-    fits = [sv.calibrate(part).calibration for part in (data, data.select(order))]
+    fits = [sv.calibrate(views).calibration for views in (data, data.select(order))]
     shifts = [np.asarray(fit.camera_from_tool.translation()) for fit in fits]
     difference = 1e3 * float(np.linalg.norm(shifts[0] - shifts[1]))
     assert difference < 1e-3
@@ -276,8 +276,8 @@ def _only_view_left_out(material: Material, view: int, pose: jnp.ndarray) -> str
     data = material.scene.data
     poses = SE3(data.base_from_tool.wxyz_xyz.at[view].set(pose))
     fit = sv.calibrate(dataclasses.replace(data, base_from_tool=poses))
-    whole = [entry for entry in fit.rejected if entry.point is None]
-    assert [entry.view for entry in whole] == [str(view)]
+    whole = [rejection for rejection in fit.rejected if rejection.point is None]
+    assert [rejection.view for rejection in whole] == [str(view)]
     return f"view {whole[0].view}: {whole[0].reason}"
 
 
@@ -327,7 +327,7 @@ def _detections(material: Material) -> str:
 
 
 def _pose_flips(material: Material) -> str:
-    views = sum(1 for entry in material.fit.rejected if entry.point is None)
+    views = sum(1 for rejection in material.fit.rejected if rejection.point is None)
     assert views == 0
     return f"{material.sample.view_count} views of one flat board, none flipped, none rejected"
 

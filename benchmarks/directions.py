@@ -285,6 +285,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--views", type=int, nargs="*", default=VIEWS)
-    parser.add_argument("--mounts", nargs="*", default=MOUNTS)
-    parser.add_argument("--robots", nargs="*", default=ROBOTS)
+    parser.add_argument("--mounts", nargs="*", choices=MOUNTS, default=MOUNTS)
+    parser.add_argument("--robots", nargs="*", choices=ROBOTS, default=ROBOTS)
     sys.exit(0 if run(**vars(parser.parse_args())) else 1)

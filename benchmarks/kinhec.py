@@ -39,8 +39,8 @@ from smartview_jax.robots import Trajectory
 
 TIER, SMOKE_TIER, SMOKE_MOST = "small", "smoke", 1
 MAX_RATIO = 1.1
-"""Largest error of ours over the best solver's that counts as the best: of the medians of a track,
-and the median over its sequences."""
+"""Largest ratio of our error to the best solver's that counts as among the best: the ratio of a
+track's median errors, and the median of its sequences' ratios."""
 
 MAX_OFFSET, CLOCK_PAIRS = 0.5, 100
 """Largest offset between clocks that is searched, s, and number of pairs from which."""

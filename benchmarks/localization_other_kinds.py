@@ -237,15 +237,15 @@ def _on_table(x: float, y: float, angle: float) -> np.ndarray:
 
 
 def found_in(scene: KindScene) -> Counts:
-    """Return what is found in one scene."""
+    """Return what is found in obj scene."""
     began = time.process_time()
     localizations = localize(scene.pictures, scene.base_from_tool, scene.calibration, scene.model)
     seconds = time.process_time() - began
     right: dict[int, tuple[float, float]] = {}
     wrong = 0
-    for one in localizations.accepted:
+    for obj in localizations.accepted:
         errors = [
-            pose_errors(scene.model, one.world_from_object[None], truth)
+            pose_errors(scene.model, obj.world_from_object[None], truth)
             for truth in scene.world_from_object
         ]
         k = int(np.argmin([shift[0] for _, shift in errors]))
@@ -254,9 +254,9 @@ def found_in(scene: KindScene) -> Counts:
             wrong += 1
             continue
         equal = scene.world_from_object[k] @ scene.model.object_from_object
-        tangents = host_logarithms(np.linalg.inv(one.world_from_object) @ equal)
+        tangents = host_logarithms(np.linalg.inv(obj.world_from_object) @ equal)
         error = tangents[int(np.argmin(np.linalg.norm(tangents[:, 3:], axis=1)))]
-        right[k] = 1e3 * shift, float(error @ np.linalg.solve(one.covariance, error))
+        right[k] = 1e3 * shift, float(error @ np.linalg.solve(obj.covariance, error))
     return Counts(
         len(scene.world_from_object),
         len(right),

@@ -73,8 +73,10 @@ def print_real_pictures(smoke: bool = False) -> bool:
             absent = _absent(case, evidence, ABSENT[: 1 if smoke else None])
             accepted, searched = accepted + sum(absent), searched + len(absent)
         _print_row(name, findings, accepted, searched)
-        good &= all(entry.accepted and not entry.edge_rms > MAX_EDGE_RMS for entry in findings)
-        good &= not any(entry.wrong for entry in findings)
+        good &= all(
+            finding.accepted and not finding.edge_rms > MAX_EDGE_RMS for finding in findings
+        )
+        good &= not any(finding.wrong for finding in findings)
         absent_accepted, absent_searched = absent_accepted + accepted, absent_searched + searched
     low, high = interval(absent_accepted, absent_searched)
     print(f"of objects that are not there {absent_accepted} of {absent_searched} were accepted: "
@@ -92,7 +94,7 @@ def _set_of(case: RealCase) -> str:
 def _present(case: RealCase, evidence: Sequence[PictureEvidence]) -> Finding:
     """Return what is found of the object that the pictures show."""
     localizations = localize(evidence, case.poses, case.calibration, case.model)
-    right = [entry for entry in localizations.accepted if _error(case, entry)[2]]
+    right = [obj for obj in localizations.accepted if _error(case, obj)[2]]
     first = bool(len(localizations)) and _error(case, localizations[0])[2]
     wrong = len(localizations.accepted) - len(right)
     if not right:
@@ -102,11 +104,11 @@ def _present(case: RealCase, evidence: Sequence[PictureEvidence]) -> Finding:
     return Finding(True, first, wrong, rms, angle, shift / _extent(case.model.vertices))
 
 
-def _error(case: RealCase, entry: Localization) -> tuple[float, float, bool]:
+def _error(case: RealCase, obj: Localization) -> tuple[float, float, bool]:
     """Return degrees and length from the reference pose, and whether that is right."""
     angle, shift = (
         float(x[0])
-        for x in pose_errors(case.model, entry.world_from_object[None], case.world_from_object)
+        for x in pose_errors(case.model, obj.world_from_object[None], case.world_from_object)
     )
     return angle, shift, angle < REAL_NEAR[0] and shift < REAL_NEAR[1] * case.unit
 
@@ -136,13 +138,13 @@ def _extent(vertices: np.ndarray) -> float:
 
 def _print_row(name: str, findings: Sequence[Finding], accepted: int, searched: int) -> None:
     """Print the results for one object, with medians over accepted poses."""
-    accepted_poses = [entry for entry in findings if entry.accepted]
+    found = [finding for finding in findings if finding.accepted]
     rms, angle, shift = (
-        np.median([getattr(entry, key) for entry in accepted_poses]) if accepted_poses else np.nan
+        np.median([getattr(finding, key) for finding in found]) if found else np.nan
         for key in ("edge_rms", "degrees", "relative")
     )
     right, wrong = (sum(getattr(f, key) for f in findings) for key in ("best_is_right", "wrong"))
     print(
-        f"{name:20}{len(findings):6}{len(accepted_poses):10}{right:13}{wrong:7}"
+        f"{name:20}{len(findings):6}{len(found):10}{right:13}{wrong:7}"
         f"{rms:10.2f}{angle:9.2f}{shift:9.2%}{searched:9}{accepted:10}"
     )

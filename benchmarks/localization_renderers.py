@@ -269,7 +269,7 @@ def _found(scene: MadeScene, pictures: list[np.ndarray]) -> tuple[int, int, int]
     truth = scene.world_from_object
     if truth is None:
         return 0, 0, len(localizations)
-    errors = [pose_errors(scene.model, one.world_from_object[None], truth) for one in localizations]
+    errors = [pose_errors(scene.model, obj.world_from_object[None], truth) for obj in localizations]
     right = sum(is_right(float(angle[0]), float(shift[0])) for angle, shift in errors)
     return 1, right, len(localizations) - right
 

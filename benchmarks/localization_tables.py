@@ -65,8 +65,8 @@ def print_tables(records: list[dict[str, Any]], smoke: bool = False) -> bool:
 
 def print_seconds(seconds: list[SceneSeconds]) -> bool:
     """Print the times of scenes; True where the goal is met."""
-    own = [time.localize for time in seconds]
-    ratios = [time.localize / time.detector for time in seconds]
+    own = [scene.localize for scene in seconds]
+    ratios = [scene.localize / scene.detector for scene in seconds]
     print(f"seconds a scene, warm, one model, two pictures: median {np.median(own):.2f}, "
           f"largest {max(own):.2f}; {np.median(ratios):.0f} times as long as OpenCV's "
           "line segment detector on these pictures")  # fmt: skip

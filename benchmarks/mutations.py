@@ -296,7 +296,7 @@ def _link_data(folder: Path) -> None:
 def _write(path: Path, found: dict[str, Outcome]) -> None:
     """Write outcomes, so that a run that ends half-way leaves the older file or the newer one."""
     temporary = path.with_name(path.name + ".new")
-    text = json.dumps([value._asdict() for value in found.values()], indent=1)
+    text = json.dumps([outcome._asdict() for outcome in found.values()], indent=1)
     temporary.write_text(text + "\n", encoding="utf-8")
     os.replace(temporary, path)
 

@@ -52,10 +52,10 @@ def run(smoke: bool = False) -> bool:
 
 def present(wanted: Iterable[tuple[str, str]] = SETS) -> list[tuple[str, str]]:
     """Return the sets that lie next to the checkout; say so where there are none."""
-    flags = [entry for entry in wanted if (SHARED / entry[0]).is_dir()]
-    if not flags:
+    present_sets = [entry for entry in wanted if (SHARED / entry[0]).is_dir()]
+    if not present_sets:
         print("skipped: the data sets are not next to this checkout (shared/data)")
-    return flags
+    return present_sets
 
 
 def load(folder: str, prefix: str) -> tuple[sv.Dataset, dict]:

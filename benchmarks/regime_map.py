@@ -124,13 +124,13 @@ def table(found: Mapping[Regime, dict[str, Errors]]) -> str:
         lines.append(
             f"{regime.axis}: {regime.name}   {len(some.bound)} seeds, bound {least:.3f} px"
         )
-        for name, of_method in errors.items():
-            over = of_method.over_bound
-            failed = f"   {of_method.failures} failed" if of_method.failures else ""
+        for name, measured in errors.items():
+            over = measured.over_bound
+            failed = f"   {measured.failures} failed" if measured.failures else ""
             lines.append(
-                f"  {name:24}{of_method.rms('px'):8.3f} px{over.value:8.2f} x bound"
+                f"  {name:24}{measured.rms('px'):8.3f} px{over.value:8.2f} x bound"
                 f" ({over.lower:.2f} to {over.upper:.2f})"
-                f"{of_method.rms('mm'):9.3f} mm{of_method.rms('deg'):8.3f} deg{failed}"
+                f"{measured.rms('mm'):9.3f} mm{measured.rms('deg'):8.3f} deg{failed}"
             )
     return "\n".join(lines)
 
@@ -143,10 +143,10 @@ def write_table(path: Path, found: Mapping[Regime, dict[str, Errors]]) -> None:
     columns = "method runs failed bound_px px mm deg over_bound lower upper".split()
     writer.writerow([*settings, *columns])
     for regime, errors in found.items():
-        for name, of_method in errors.items():
-            least = float(np.sqrt(np.mean(of_method.bound**2)))
-            numbers = [least, *map(of_method.rms, MEASURES), *of_method.over_bound]
-            counts = [name.strip(), len(of_method.bound), of_method.failures]
+        for name, measured in errors.items():
+            least = float(np.sqrt(np.mean(measured.bound**2)))
+            numbers = [least, *map(measured.rms, MEASURES), *measured.over_bound]
+            counts = [name.strip(), len(measured.bound), measured.failures]
             writer.writerow([*vars(regime).values(), *counts, *(f"{n:.4g}" for n in numbers)])
     write_atomically(path, text.getvalue())
 
@@ -159,8 +159,8 @@ def heat_map(found: Mapping[Regime, dict[str, Errors]]) -> Figure:
     over_bound = np.full((len(found), len(names)), np.nan)
     over_staged = np.full((len(found), len(pairs)), np.nan)
     for row, errors in enumerate(found.values()):
-        for name, of_method in errors.items():
-            over_bound[row, names.index(name)] = of_method.over_bound.value
+        for name, measured in errors.items():
+            over_bound[row, names.index(name)] = measured.over_bound.value
         for column, (name, measure) in enumerate(pairs):
             if name in errors and STAGED in errors:
                 over_staged[row, column] = errors[name].over(errors[STAGED], measure).value

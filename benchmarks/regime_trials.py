@@ -173,12 +173,12 @@ def _park_and_bundle(data: sv.Dataset) -> sv.Calibration:
 def one_run(regime: Regime, seed: int, names: Collection[str]) -> dict[str, Any]:
     """Methods on one experiment: px and what the bound is of it, hand-eye mm and degrees."""
     trial = simulated(regime, seed)
-    verdict = {
+    errors = {
         name: _judged(method, trial, name == KNOWN_ARM)
         for name, method in methods(regime).items()
         if name in names
     }
-    return {"bound": _least_error(regime, trial), "methods": verdict}
+    return {"bound": _least_error(regime, trial), "methods": errors}
 
 
 def _judged(method: Method, trial: Trial, by_joints: bool) -> dict[str, Any]:

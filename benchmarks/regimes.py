@@ -104,7 +104,7 @@ def study(
 ) -> bool:
     """Run what is missing, one regime after the other; then table, picture and verdicts."""
     path = folder / "runs.jsonl"
-    runs, loaded = load_runs(path), {}
+    runs, errors_in = load_runs(path), {}
     arm_before = None
     for number, regime in enumerate(regimes):
         if arm_before not in (None, regime.errors is not None):
@@ -123,12 +123,12 @@ def study(
             runs[key(regime, seed)] = {**new, "methods": {**run["methods"], **new["methods"]}}
             save_runs(path, runs)
         _say("")
-        loaded[regime] = errors_of(runs, regime, count)
-        print(table({regime: loaded[regime]}), flush=True)
-    write_table(folder / "table.csv", loaded)
-    heat_map(loaded).savefig(folder / "map.png", dpi=120)
+        errors_in[regime] = errors_of(runs, regime, count)
+        print(table({regime: errors_in[regime]}), flush=True)
+    write_table(folder / "table.csv", errors_in)
+    heat_map(errors_in).savefig(folder / "map.png", dpi=120)
     print(f"written: {folder / 'table.csv'}, {folder / 'map.png'}")
-    return all(list(_verdicts(loaded))) if judged else _all_ran(loaded)
+    return all(list(_verdicts(errors_in))) if judged else _all_ran(errors_in)
 
 
 def _say(text: str) -> None:
@@ -137,7 +137,7 @@ def _say(text: str) -> None:
 
 
 def _all_ran(found: Mapping[Regime, dict[str, Errors]]) -> bool:
-    return all(value.failures == 0 for errors in found.values() for value in errors.values())
+    return all(method.failures == 0 for errors in found.values() for method in errors.values())
 
 
 def _verdicts(found: Mapping[Regime, dict[str, Errors]]) -> Iterable[bool]:

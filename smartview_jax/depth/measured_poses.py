@@ -149,7 +149,7 @@ def poses_from_points(
 ) -> MeasuredPoses:
     """Return the poses of a target whose points a depth sensor measured.
 
-    A target that is 1 % larger than stated looks like a sensor whose depths are 1 % too small.
+    A target that is 1 % larger than stated looks like a sensor whose depths are 1 % too large.
 
     Args:
         points_in_camera: measured points in the sensor's frame `(views, points, 3)`, z along its
@@ -168,6 +168,8 @@ def poses_from_points(
         >>> measured = sv.depth.poses_from_points(points / 1.02, target)
         >>> print(f"{measured.sensor.scale:.3f}")
         1.020
+        >>> print(f"{sv.depth.poses_from_points(points, target / 1.01).sensor.scale:.3f}")
+        0.990
     """
     points, target = _checked(points_in_camera, target_points)
     seen = np.asarray(np.isfinite(points).all(axis=2))

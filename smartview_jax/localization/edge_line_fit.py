@@ -100,7 +100,7 @@ class FittedLines(NamedTuple):
         numbers: the two numbers of a line, as in `EdgeLines`.
         combination: weights of the samples' distances in the two numbers.
         spread: of an edge's samples along it, px.
-        rest: distances of the samples' edge points from the line, px.
+        residuals: distances of the samples' edge points from the line, px.
     """
 
     weights: Float[Array, "S"]
@@ -108,7 +108,7 @@ class FittedLines(NamedTuple):
     numbers: Float[Array, "E 2"]
     combination: Float[Array, "2 S"]
     spread: Float[Array, "E"]
-    rest: Float[Array, "S"]
+    residuals: Float[Array, "S"]
 
     def combined(self, samples: EdgeSamples, values: Float[Array, "S k"]) -> Float[Array, "E 2 k"]:
         """Return the changes of the two numbers by changes of the samples' distances."""
@@ -131,8 +131,8 @@ def fitted_lines(
     spread = jnp.sqrt(S / W)
     combination = jnp.stack([weights / W[edges], weights * t * (spread / S)[edges]])
     numbers = jnp.stack([sums(row * r) for row in combination], axis=1)
-    rest = r - numbers[edges, 0] - numbers[edges, 1] * t / spread[edges]
-    return FittedLines(weights, W, numbers, combination, spread, rest)
+    residuals = r - numbers[edges, 0] - numbers[edges, 1] * t / spread[edges]
+    return FittedLines(weights, W, numbers, combination, spread, residuals)
 
 
 def _along_edges(samples: EdgeSamples) -> Float[Array, "S"]:
@@ -153,7 +153,7 @@ def point_variance(
         lengths: with points, in lengths over which errors are correlated.
     """
     independent = jnp.maximum(jnp.minimum(line.total_weight, lengths), 1.0)
-    variance = samples.sums(line.weights * line.rest**2) / line.total_weight
+    variance = samples.sums(line.weights * line.residuals**2) / line.total_weight
     # Two numbers of the line are fitted to this many independent points.
     variance = variance * independent / jnp.maximum(independent - 2.0, 1.0)
     return jnp.maximum(variance, MIN_POINT_SIGMA**2), independent

@@ -187,7 +187,7 @@ def judge(
 def _contradictions(
     evidence: Evidence, log_false_alarms: float, shadow_odds: float, options: VerdictOptions
 ) -> list[str]:
-    """Return why no object is at a pose; nothing if one may be."""
+    """Return the reasons to reject a pose; none if an object may be there."""
     reasons = []
     if evidence.explained < options.rejected_share:
         reasons.append(f"only {evidence.explained:.0%} of its visible edges match the pictures")
@@ -201,7 +201,8 @@ def _contradictions(
 
 def _missing_edges(evidence: Evidence, options: VerdictOptions) -> list[str]:
     """Return doubts about a pose because the pictures do not show enough of the object."""
-    doubts, share = [], evidence.explained
+    doubts: list[str] = []
+    share = evidence.explained
     if share < _accepted_share(evidence, options):
         fit = f", and these fit to {evidence.edge_rms:.2f} px"
         more = fit if share >= options.hidden_share else ""
@@ -227,7 +228,8 @@ def _weaknesses(
     evidence: Evidence, log_false_alarms: float, uncertainty: float, options: VerdictOptions
 ) -> list[str]:
     """Return doubts about a pose because its edges are few, far off or do not determine it."""
-    doubts, rms = [], evidence.edge_rms
+    doubts: list[str] = []
+    rms = evidence.edge_rms
     if log_false_alarms > options.max_log_false_alarms:
         doubts.append(
             f"little evidence: {_amount(evidence)}; {10.0**log_false_alarms:.2g} poses as good as "

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..engine import Noise, twist_rotations
+from ..engine import Noise
 from ..features import SMOOTHED_LENGTH, scaled_camera
 from ..geometry import host_adjoints, host_cross_matrices, host_matrices, host_transformed
 from ..modeling import ObjectModel
@@ -94,13 +94,13 @@ class ViewGains:
         self.visible = np.zeros(count, dtype=bool)
         self.rivals, self.count = 0, len(objects)
         self.is_open = any(obj.verdict.decision == "open" for obj in objects)
-        of_noise = noise_at_camera(noise, calibration, candidates)
+        pose_noise = noise_at_camera(noise, calibration, candidates)
         others = leading([*neighbours, *objects])
         for obj in objects:
             views = _Candidates(calibration, candidates, occluders_around(obj, others, triangles))
             prediction = _predicted(obj.model, obj.world_from_object, views, obj)
             self.visible |= prediction.visible_px.sum(axis=1) > 0.0
-            before, after = _grasp_covariances(obj, prediction, candidates, of_noise)
+            before, after = _grasp_covariances(obj, prediction, candidates, pose_noise)
             shrinkage += 0.5 * (np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1])
             self.std_before = max(self.std_before, _position_std(before[None])[0])
             self.std_after = np.maximum(self.std_after, _position_std(after))
@@ -167,7 +167,7 @@ def _grasp_covariances(
     obj: Localization,
     prediction: _Predicted,
     candidates: Float[np.ndarray, "views 4 4"],
-    of_noise: Float[np.ndarray, "views 6 6"] | None,
+    pose_noise: Float[np.ndarray, "views 6 6"] | None,
 ) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarray, "views 6 6"]]:
     """Return the covariance of the object at the point of the grasp, now and after each view.
 
@@ -176,8 +176,8 @@ def _grasp_covariances(
     refined = obj.refined
     fixed = refined.calibration + refined.model
     information = prediction.information
-    if of_noise is not None:
-        information = _with_view_noise(information, obj.world_from_object, candidates, of_noise)
+    if pose_noise is not None:
+        information = _with_view_noise(information, obj.world_from_object, candidates, pose_noise)
     weight = np.linalg.inv(refined.pictures)
     after = np.linalg.inv(weight + information) + fixed
     # The point between the fingers in the first grasp, or the middle of the object.
@@ -192,38 +192,44 @@ def _grasp_covariances(
 def noise_at_camera(
     noise: Noise | None, calibration: Calibration, candidates: Float[np.ndarray, "views 4 4"]
 ) -> Float[np.ndarray, "views 6 6"] | None:
-    """Return the covariance of the twist of each camera pose, in the camera frame.
+    """Return the covariance of the twist of each camera pose by the robot's noise, m and rad.
 
-    The lever from the tool to the camera is ignored: it is short compared with the distance. None
-    for exact poses, and if nothing is known of them.
+    The twist is in the camera frame. None for exact poses, and if nothing is known of them.
     """
     if noise is None or not np.isfinite([noise.translation, noise.rotation]).all():
         return None
     camera_from_mount, holder_from_world = (
-        host_matrices(pose)[:3, :3] for pose in calibration.transforms.values()
+        host_matrices(pose) for pose in calibration.transforms.values()
     )
-    world_from_camera = candidates[:, :3, :3].swapaxes(1, 2)
     if calibration.mount == "eye_in_hand":
-        tool_from_camera = np.broadcast_to(camera_from_mount.T, world_from_camera.shape)
-        base_from_camera = holder_from_world @ world_from_camera
+        camera_from_base = candidates @ np.linalg.inv(holder_from_world)
+        camera_from_tool = np.broadcast_to(camera_from_mount, candidates.shape)
     else:
-        tool_from_camera = holder_from_world @ world_from_camera
-        base_from_camera = np.broadcast_to(camera_from_mount.T, world_from_camera.shape)
-    tool_from_base = tool_from_camera @ base_from_camera.swapaxes(1, 2)
-    covariances, turned = noise.pose_covariances(tool_from_base), twist_rotations(tool_from_camera)
-    return turned.swapaxes(1, 2) @ covariances @ turned
+        camera_from_base = np.broadcast_to(camera_from_mount, candidates.shape)
+        camera_from_tool = candidates @ np.linalg.inv(holder_from_world)
+    tool_from_base = np.linalg.inv(camera_from_tool) @ camera_from_base
+    to_camera = host_adjoints(camera_from_tool)
+    covariances = noise.pose_covariances(tool_from_base[:, :3, :3])
+    return to_camera @ covariances @ to_camera.swapaxes(1, 2)
 
 
 def _with_view_noise(
     information: Float[np.ndarray, "views 6 6"],
     pose: Float[np.ndarray, "4 4"],
     candidates: Float[np.ndarray, "views 4 4"],
-    of_noise: Float[np.ndarray, "views 6 6"],
+    pose_noise: Float[np.ndarray, "views 6 6"],
 ) -> Float[np.ndarray, "views 6 6"]:
-    """Return the information of views whose camera pose has errors of this covariance."""
+    """Return the information of views whose camera poses err.
+
+    Args:
+        information: of views with exact poses.
+        pose: of the object in the world.
+        candidates: extrinsics of the views.
+        pose_noise: covariance of their twists in the camera frame.
+    """
     # The camera's twist as a twist of the object: Q = Ad S Ad^T; (I^-1 + Q)^-1 = I (1 + Q I)^-1.
     adjoint = host_adjoints(np.linalg.inv(candidates @ pose))
-    Q = adjoint @ of_noise @ adjoint.swapaxes(1, 2)
+    Q = adjoint @ pose_noise @ adjoint.swapaxes(1, 2)
     return information @ np.linalg.inv(np.eye(6) + Q @ information)
 
 

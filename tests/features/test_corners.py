@@ -55,7 +55,7 @@ def test_the_vertex_of_weak_edges_next_to_a_patch_is_a_candidate(rim):
 
 @pytest.mark.parametrize("contrast", [40.0, 140.0])
 def test_the_vertex_of_two_edges_is_found_next_to_the_peak_within(contrast):
-    actual, _ = found_in(quadrilateral(contrast))
-    distance = np.sort(np.linalg.norm(actual - VERTEX, axis=1))
+    corners, _ = found_in(quadrilateral(contrast))
+    distance = np.sort(np.linalg.norm(corners - VERTEX, axis=1))
     assert distance[0] < 0.4
     assert 1.0 < distance[1] < 2.5

@@ -94,15 +94,15 @@ def is_clear(vertex, pixels, solid):
 def corner_errors(rendered):
     """Errors of corners of segments at clear vertices, and their whitened squares."""
     errors, nees = [], []
-    for actual, pixels, _, solid in rendered:
-        joined = actual.corner_segments[:, 1] >= 0
+    for in_picture, pixels, _, solid in rendered:
+        joined = in_picture.corner_segments[:, 1] >= 0
         for vertex in range(len(pixels)):
-            distance = np.linalg.norm(actual.corners[joined] - pixels[vertex], axis=1)
+            distance = np.linalg.norm(in_picture.corners[joined] - pixels[vertex], axis=1)
             k = int(np.argmin(distance))
             if distance[k] < 3.0 and is_clear(vertex, pixels, solid):
-                error = actual.corners[joined][k] - pixels[vertex]
+                error = in_picture.corners[joined][k] - pixels[vertex]
                 errors.append(error)
-                covariance = actual.corner_covariances[joined][k]
+                covariance = in_picture.corner_covariances[joined][k]
                 nees.append(error @ np.linalg.solve(covariance, error))
     return np.array(errors), np.array(nees)
 
@@ -123,27 +123,27 @@ def test_covariances_of_corners_are_honest(corner_errors):
 
 def test_lines_are_the_planes_through_the_edges(rendered):
     whitened, errors = [], []
-    for actual, pixels, in_camera, solid in rendered:
+    for in_picture, pixels, in_camera, solid in rendered:
         for a, b in solid.edges:
             normal = np.cross(in_camera[a], in_camera[b])
             normal /= np.linalg.norm(normal)
             length = np.linalg.norm(pixels[b] - pixels[a])
             clear = is_clear(a, pixels, solid) and is_clear(b, pixels, solid)
             ends = np.minimum(
-                np.linalg.norm(actual.segments - pixels[a], axis=2).min(axis=1),
-                np.linalg.norm(actual.segments - pixels[b], axis=2).min(axis=1),
+                np.linalg.norm(in_picture.segments - pixels[a], axis=2).min(axis=1),
+                np.linalg.norm(in_picture.segments - pixels[b], axis=2).min(axis=1),
             )
-            sign = np.sign(actual.lines @ normal)[:, None]
-            angle = np.linalg.norm(actual.lines * sign - normal, axis=1)
+            sign = np.sign(in_picture.lines @ normal)[:, None]
+            angle = np.linalg.norm(in_picture.lines * sign - normal, axis=1)
             k = int(np.argmin(angle))
             if not clear or length < 40.0 or ends[k] > 3.0 or angle[k] * FOCAL_LENGTH > 3.0:
                 continue
-            error = actual.lines[k] * sign[k] - normal
-            values, vectors = np.linalg.eigh(actual.line_covariances[k])
+            error = in_picture.lines[k] * sign[k] - normal
+            values, vectors = np.linalg.eigh(in_picture.line_covariances[k])
             assert values[0] < 1e-6 * values[1]
             whitened.append(((vectors[:, 1:].T @ error) ** 2 / values[1:]).sum())
             middle = in_camera[a] + in_camera[b]
-            errors.append(FOCAL_LENGTH * actual.lines[k] @ middle / np.linalg.norm(middle))
+            errors.append(FOCAL_LENGTH * in_picture.lines[k] @ middle / np.linalg.norm(middle))
     assert len(errors) >= 20
     assert np.abs(np.mean(errors)) < 0.05
     assert np.sqrt(np.mean(np.square(errors))) < 0.06
@@ -151,21 +151,23 @@ def test_lines_are_the_planes_through_the_edges(rendered):
 
 
 def test_ends_at_corners_are_the_corners(rendered):
-    actual = rendered[0][0]
-    joined = np.nonzero(actual.corner_segments[:, 0] >= 0)[0]
+    in_picture = rendered[0][0]
+    joined = np.nonzero(in_picture.corner_segments[:, 0] >= 0)[0]
     for k in joined:
-        ends = actual.segments[actual.corner_segments[k][actual.corner_segments[k] >= 0]]
-        assert np.linalg.norm(ends - actual.corners[k], axis=2).min() < 1e-9
+        ends = in_picture.segments[
+            in_picture.corner_segments[k][in_picture.corner_segments[k] >= 0]
+        ]
+        assert np.linalg.norm(ends - in_picture.corners[k], axis=2).min() < 1e-9
 
 
 def test_everything_is_finite_and_in_the_picture(rendered):
-    for actual, *_ in rendered:
-        for part in actual[:-1]:
+    for in_picture, *_ in rendered:
+        for part in in_picture[:-1]:
             assert np.isfinite(part).all()
-        assert ((actual.corners >= -0.5) & (actual.corners <= [639.5, 479.5])).all()
-        np.testing.assert_allclose(np.linalg.norm(actual.lines, axis=1), 1.0)
-        assert (np.linalg.eigvalsh(actual.corner_covariances) > 0.0).all()
-        assert (np.linalg.eigvalsh(actual.end_covariances) > 0.0).all()
+        assert ((in_picture.corners >= -0.5) & (in_picture.corners <= [639.5, 479.5])).all()
+        np.testing.assert_allclose(np.linalg.norm(in_picture.lines, axis=1), 1.0)
+        assert (np.linalg.eigvalsh(in_picture.corner_covariances) > 0.0).all()
+        assert (np.linalg.eigvalsh(in_picture.end_covariances) > 0.0).all()
 
 
 def test_the_lighter_side_is_to_the_left():

@@ -22,15 +22,15 @@ BLUR = 0.7
 
 def next_to_another(points):
     """Which points have a point of another edge nearby, from the distances of all pairs."""
-    actual = np.zeros(len(points.pixels), dtype=bool)
+    is_near = np.zeros(len(points.pixels), dtype=bool)
     along = np.column_stack([-points.normals[:, 1], points.normals[:, 0]])
     for a, b in KDTree(points.pixels).query_pairs(CLEARANCE + MAX_ALONG, output_type="ndarray"):
         gap = points.pixels[b] - points.pixels[a]
         for k in (a, b):
             across = abs(gap @ points.normals[k])
             is_other = OTHER_EDGE < across < CLEARANCE and abs(gap @ along[k]) <= MAX_ALONG
-            actual[k] |= is_other
-    return actual
+            is_near[k] |= is_other
+    return is_near
 
 
 def spread(cells, marked):

@@ -93,15 +93,13 @@ def test_the_joints_reach_the_poses(plan):
 
 def test_a_fitted_error_of_the_arm_is_compensated(scene):
     truth = random_truth(3).calibration
-    grasps = grasps_for(placed(), GRIPPER, dataclasses.replace(scene, calibration=truth)).best
+    best = grasps_for(placed(), GRIPPER, dataclasses.replace(scene, calibration=truth)).best
     # The true arm, sent to the joints, has the gripper at the object.
     actual_pose = eqx.filter_jit(lambda error, command: error.actual_pose(command))
-    actual = host_matrices(actual_pose(truth.robot_error, six_axes().command(grasps.joints)))
+    actual = host_matrices(actual_pose(truth.robot_error, six_axes().command(best.joints)))
     gripper = np.linalg.inv(host_matrices(truth.base_from_world)) @ actual
-    assert np.allclose(gripper @ GRIPPER.tool_from_gripper, grasps.world_from_gripper, atol=1e-7)
-    assert not np.allclose(
-        host_matrices(six_axes().base_from_tool(grasps.joints)), actual, atol=1e-4
-    )
+    assert np.allclose(gripper @ GRIPPER.tool_from_gripper, best.world_from_gripper, atol=1e-7)
+    assert not np.allclose(host_matrices(six_axes().base_from_tool(best.joints)), actual, atol=1e-4)
 
 
 def test_a_grasp_is_written_for_robots_as_viewpoints_are(plan, tmp_path):
@@ -137,9 +135,9 @@ def test_what_is_written_opens_and_closes_the_gripper(plan, tmp_path):
     rows = list(csv.DictReader((tmp_path / "grasp.csv").read_text().splitlines()))
     best.write(tmp_path / "grasp.json")
     entries = json.loads((tmp_path / "grasp.json").read_text())["viewpoints"]
-    for actual in (rows, entries):
-        assert [grasp["motion"] for grasp in actual] == ["free", "straight", "straight", "straight"]
-        openings = [float(grasp["opening_m"]) for grasp in actual]
+    for phases in (rows, entries):
+        assert [phase["motion"] for phase in phases] == ["free", "straight", "straight", "straight"]
+        openings = [float(phase["opening_m"]) for phase in phases]
         assert openings == [best.opening, best.opening, 0.0, 0.0]
 
 
@@ -225,9 +223,9 @@ def test_a_singular_wrist_is_refused(scene):
         @ GRIPPER.tool_from_gripper
     )
     pose = world_from_gripper @ np.linalg.inv(TOP.object_from_tool)
-    actual = PlacedObject(MODEL, pose, SMALL)
+    inclined = PlacedObject(MODEL, pose, SMALL)
     free = dataclasses.replace(scene, obstacles=(), near=joints)
-    plan = grasps_for(actual, GRIPPER, free)
+    plan = grasps_for(inclined, GRIPPER, free)
     assert not len(plan)
     assert all("singular wrist" in grasp.reasons[0] for grasp in plan.refused)
     assert all("grasp" in grasp.reasons[0] for grasp in plan.refused)
@@ -269,7 +267,7 @@ def test_links_are_kept_clear_between_the_poses_too(scene, plan):
 
     def gap(spot):
         checker = CollisionChecker(bearing(spot).obstacles)
-        contacts = [checker.nearest(arm_links(grasp[1:], 0.01)) for grasp in (ends[0], ends[2])]
+        contacts = [checker.nearest(arm_links(link_ends[1:], 0.01)) for link_ends in ends[::2]]
         return min(contact.clearance for contact in contacts)
 
     # Of the links' middles, half on the way, the one that is farthest from both ends.
@@ -278,7 +276,7 @@ def test_links_are_kept_clear_between_the_poses_too(scene, plan):
     blocked = bearing(spot)
     checker = CollisionChecker(blocked.obstacles)
     reasons = _joint_reasons(blocked, plan.best.joints, checker)
-    assert [("touches bearing" in grasp, "lift to retreat" in grasp) for grasp in reasons] == [
+    assert [("touches bearing" in reason, "lift to retreat" in reason) for reason in reasons] == [
         (True,) * 2
     ]
     assert _joint_reasons(thin, plan.best.joints, CollisionChecker(())) == []
@@ -288,13 +286,13 @@ def test_a_long_bar_under_a_shelf_is_not_lifted(scene):
     """Far from the fingers: the gripper passes, what it holds does not."""
     bar = box(0.3, 0.02, 0.02, name="bar")
     grasp = grasp_on_face(bar, 1, opening_direction=np.array([0.0, 1.0, 0.0]), depth=0.01)
-    actual = placed(model=dataclasses.replace(bar, grasps=(grasp,)), turn=0.0)
-    assert len(grasps_for(actual, GRIPPER, scene))
+    localized = placed(model=dataclasses.replace(bar, grasps=(grasp,)), turn=0.0)
+    assert len(grasps_for(localized, GRIPPER, scene))
     shelf = np.eye(4)
     # 5 mm above the last 20 mm of the bar, whose frame is at a corner.
     shelf[:3, 3] = [0.1 + 0.29, -0.1 + 0.01, 0.02 + 5e-3 + 1e-3]
     covered = scene.with_obstacles([Obstacle.box("shelf", (0.02, 0.1, 2e-3), shelf)])
-    plan = grasps_for(actual, GRIPPER, covered)
+    plan = grasps_for(localized, GRIPPER, covered)
     assert not len(plan)
     assert "the held object touches shelf" in plan.summary
     # The gripper alone would pass.

@@ -87,12 +87,12 @@ def test_what_object_and_gripper_share_cancels(setup):
     shared = back @ errors.shared
     jacobian = shared @ np.linalg.pinv(errors.root)
     own = 1e-10 * np.eye(6)
-    actual = PlacedObject(model, np.eye(4), own + shared @ shared.T)
-    alone = error_covariance(actual, gripper_from_object, errors)
+    localized = PlacedObject(model, np.eye(4), own + shared @ shared.T)
+    alone = error_covariance(localized, gripper_from_object, errors)
     known = SimpleNamespace(
-        model=actual.model,
-        world_from_object=actual.world_from_object,
-        covariance=actual.covariance,
+        model=localized.model,
+        world_from_object=localized.world_from_object,
+        covariance=localized.covariance,
         calibration_jacobian=jacobian,
         calibration_names=errors.names,
     )
@@ -126,8 +126,8 @@ def test_an_exact_calibration_adds_nothing(setup):
     scene, command, pose = setup
     (errors,) = gripper_errors(dataclasses.replace(scene, estimate=None), GRIPPER, command)
     assert errors.shared.shape == (6, 0)
-    actual = PlacedObject(box(), np.eye(4), 1e-6 * np.eye(6))
-    total = error_covariance(actual, np.linalg.inv(pose), errors)
+    localized = PlacedObject(box(), np.eye(4), 1e-6 * np.eye(6))
+    total = error_covariance(localized, np.linalg.inv(pose), errors)
     adjoint = host_adjoints(np.linalg.inv(pose))
     assert np.allclose(total[:6, :6], 1e-6 * adjoint @ adjoint.T)
     assert np.all(total[6:] == 0.0)

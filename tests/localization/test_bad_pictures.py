@@ -51,12 +51,12 @@ def is_right(localization, truth):
 @pytest.mark.parametrize("spoilt", [blurred, noisy])
 def test_in_spoilt_pictures_no_wrong_pose_is_accepted(spoilt):
     rng = np.random.default_rng(0)
-    scene = searched([spoilt(picture, rng) for picture in seen_scene().pictures])
-    for localization in scene.accepted:
+    localizations = searched([spoilt(picture, rng) for picture in seen_scene().pictures])
+    for localization in localizations.accepted:
         assert is_right(localization, seen_scene().world_from_object[localization.model_index])
-    indices = {localization.model_index for localization in scene.accepted}
+    indices = {localization.model_index for localization in localizations.accepted}
     # Blurred by little, both are found; whatever is not accepted is explained.
-    assert indices == {0, 1} if spoilt is blurred else len(indices) == 2 or scene.messages
+    assert indices == {0, 1} if spoilt is blurred else len(indices) == 2 or localizations.messages
 
 
 @pytest.mark.parametrize(("factor", "words"), [(0.0, "under-exposed"), (20.0, "over-exposed")])

@@ -96,10 +96,10 @@ def test_exact_junctions_give_the_exact_pose(how):
     gaps = []
     for _ in range(20):
         pose = random_pose(rng, how)
-        actual = found_near(features_at(pose), roughly(pose, rng))
-        assert len(actual)
-        moved = np.abs(actual @ np.append(MIDDLE, 1.0) - pose @ np.append(MIDDLE, 1.0)).max(axis=1)
-        gaps.append((np.abs(actual - pose).max(axis=(1, 2)) + moved).min())
+        poses = found_near(features_at(pose), roughly(pose, rng))
+        assert len(poses)
+        moved = np.abs(poses @ np.append(MIDDLE, 1.0) - pose @ np.append(MIDDLE, 1.0)).max(axis=1)
+        gaps.append((np.abs(poses - pose).max(axis=(1, 2)) + moved).min())
     # A seen vertex may be nearer to a hidden one's corner, and poses where two solutions meet are
     # ill-defined.
     assert (np.array(gaps) < 1e-6).mean() >= 0.95
@@ -111,12 +111,14 @@ def test_noisy_junctions_give_about_the_pose_that_opencv_fits_to_all_vertices():
     for _ in range(30):
         pose = random_pose(rng)
         features = features_at(pose, shifts=0.3 * rng.standard_normal((8, 2)))
-        actual = found_near(features, roughly(pose, rng))
+        poses = found_near(features, roughly(pose, rng))
         matrix = np.array([[FOCAL, 0.0, CENTRE[0]], [0.0, FOCAL, CENTRE[1]], [0.0, 0.0, 1.0]])
         _, turn, shift = cv2.solvePnP(MODEL.vertices, features.corners, matrix, None)
         theirs = np.eye(4)
         theirs[:3, :3], theirs[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
-        apart = [seen(MODEL.vertices, one) - seen(MODEL.vertices, theirs) for one in actual]
+        apart = [
+            seen(MODEL.vertices, solution) - seen(MODEL.vertices, theirs) for solution in poses
+        ]
         gaps.append(min(np.sqrt((gap**2).sum(axis=1).mean()) for gap in apart))
     # Some px before; three points carry the noise of 0.3 px to the others about twofold.
     assert np.median(gaps) < 0.7
@@ -157,14 +159,14 @@ def test_what_is_found_is_near_and_of_a_bounded_number():
     for _ in range(20):
         pose = random_pose(rng)
         rough = roughly(pose, rng)
-        actual = found_near(features_at(pose), rough)
-        assert len(actual) <= 4 * MAX_TRIPLES * MAX_JUNCTIONS**3
+        poses = found_near(features_at(pose), rough)
+        assert len(poses) <= 4 * MAX_TRIPLES * MAX_JUNCTIONS**3
         places = seen(MODEL.vertices, rough)
         extent = np.linalg.norm(np.ptp(places, axis=0))
-        for one in actual:
-            moves = np.linalg.norm(seen(MODEL.vertices, one) - places, axis=1)
+        for solution in poses:
+            moves = np.linalg.norm(seen(MODEL.vertices, solution) - places, axis=1)
             assert np.median(moves) < SEARCH_SHARE * extent
-            np.testing.assert_allclose(one[:3, :3] @ one[:3, :3].T, np.eye(3), atol=1e-6)
+            np.testing.assert_allclose(solution[:3, :3] @ solution[:3, :3].T, np.eye(3), atol=1e-6)
 
 
 def test_junctions_whose_segments_run_elsewhere_are_not_taken():
@@ -195,5 +197,5 @@ def test_of_many_vertices_a_part_of_all_triples_is_compared():
     assert len(vertex_triples(8)) == 56
     many = vertex_triples(60)
     assert len(many) == COMPARED_TRIPLES
-    assert len({tuple(pose) for pose in many.tolist()}) == COMPARED_TRIPLES
+    assert len({tuple(triple) for triple in many.tolist()}) == COMPARED_TRIPLES
     assert (np.unique(many[:, 0])[:50] == np.arange(50)).all()

@@ -56,9 +56,7 @@ def directions():
     rows, columns = DepthBuffers(VIEWS).inverse_depth.shape[1:]
     v, u = np.mgrid[:rows, :columns] * DEPTH_CELL_PX + 0.5 * (DEPTH_CELL_PX - 1)
     pixels = jnp.asarray(np.stack([u, v], axis=-1).reshape(-1, 2))
-    return np.asarray(
-        jax.jit(lambda localization, p: localization.unproject(p)[0])(camera(), pixels)
-    )
+    return np.asarray(jax.jit(lambda cam, p: cam.unproject(p)[0])(camera(), pixels))
 
 
 @pytest.mark.parametrize("solid", SOLIDS)
@@ -156,7 +154,7 @@ def test_what_an_accepted_object_hides_is_not_held_against_another():
     with pytest.raises(ValueError, match="occluders: expected finite triangles"):
         localize(pictures, poses, calibration(), BACK, occluders=np.full((1, 3, 3), np.nan))
     localizations = localize(pictures, poses, calibration(), [BACK, FRONT], hypotheses=hypotheses)
-    assert {localization.model.name for localization in localizations.accepted} == {"back", "front"}
-    (back,) = (localization for localization in localizations if localization.model.name == "back")
+    assert {obj.model.name for obj in localizations.accepted} == {"back", "front"}
+    (back,) = (obj for obj in localizations if obj.model.name == "back")
     assert back.verdict.evidence.in_front < 0.9
     assert back.verdict.evidence.explained > alone.verdict.evidence.explained + 0.1

@@ -85,9 +85,9 @@ def test_what_localize_and_the_gripper_share_cancels():
     rng, squares = np.random.default_rng(0), []
     for _ in range(2):
         world = world_moved(SPREAD * rng.standard_normal(6))
-        actual = found_in(world, (POSE, OTHER_POSE), ESTIMATE, rng)
-        assert len(actual) == 2
-        for localization in actual:
+        localizations = found_in(world, (POSE, OTHER_POSE), ESTIMATE, rng)
+        assert len(localizations) == 2
+        for localization in localizations:
             pose = min(
                 (POSE, OTHER_POSE),
                 key=lambda p: np.linalg.norm((p - localization.world_from_object)[:3]),

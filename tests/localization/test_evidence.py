@@ -40,5 +40,5 @@ def test_sets_of_edges_that_fit_by_chance_are_as_rare_as_said():
     """Edges anywhere within the distance: no more than one in ten has a set of one in ten."""
     rng = np.random.default_rng(5)
     numbers = rng.uniform(-EXPLAINED_DISTANCE, EXPLAINED_DISTANCE, (4000, 9, 2))
-    logs = [log_chance_of_exact_edges(np.linalg.norm(number, axis=1)) for number in numbers]
+    logs = [log_chance_of_exact_edges(np.linalg.norm(edges, axis=1)) for edges in numbers]
     assert (np.array(logs) < -1.0).mean() < 0.1

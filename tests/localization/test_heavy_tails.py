@@ -53,11 +53,11 @@ def test_few_edges_that_are_far_off_hardly_count():
         off[:6] += rng.uniform(0.3, 1.0, 6)
         none.append(solve_pose(equations, NO_ERRORS).tangent - TRUTH)
         equations = equations._replace(residuals=off)
-        actual = solve_heavy_tailed(equations, NO_ERRORS)
-        robust.append(actual.step.tangent - TRUTH)
+        fit = solve_heavy_tailed(equations, NO_ERRORS)
+        robust.append(fit.step.tangent - TRUTH)
         plain.append(solve_pose(equations, NO_ERRORS).tangent - TRUTH)
-        assert (actual.squared[:3] > 30.0).all()
-        assert np.median(actual.squared) < 5.0
+        assert (fit.squared[:3] > 30.0).all()
+        assert np.median(fit.squared) < 5.0
     robust, plain, none = (np.sqrt(np.mean(np.square(x)[:, 3:])) for x in (robust, plain, none))
     # Least squares without the three edges would not be much better.
     assert robust < 1.4 * none < 0.2 * plain
@@ -72,10 +72,10 @@ def test_a_light_that_moves_all_edges_of_a_picture_is_an_unknown():
         by_light = rng.uniform(0.1, 0.4, 2 * EDGES)[:, None] * (view[:, None] == [0, 1])
         residuals = equations.residuals + by_light @ rng.standard_normal(2)
         lit = equations._replace(residuals=residuals, by_light=by_light)
-        actual = solve_heavy_tailed(lit, NO_ERRORS)
-        assert actual.equations.by_light is None
-        errors.append(actual.step.tangent - TRUTH)
-        covariances.append(actual.step.covariance)
+        fit = solve_heavy_tailed(lit, NO_ERRORS)
+        assert fit.equations.by_light is None
+        errors.append(fit.step.tangent - TRUTH)
+        covariances.append(fit.step.covariance)
         without.append(solve_heavy_tailed(lit._replace(by_light=None), NO_ERRORS).step.tangent)
     errors, without = np.array(errors), np.array(without) - TRUTH
     assert 3.0 < mean_nees(nees(errors, np.array(covariances)), 6).value < 7.0
@@ -116,11 +116,11 @@ def test_the_calibrations_errors_are_no_errors_of_edges():
     equations = equations_of(rng, drawn(rng, 1e6, 1)[0], numbers=2)
     true = np.array([0.8, -1.1])
     moved = equations._replace(residuals=equations.residuals + equations.by_calibration @ true)
-    actual = solve_heavy_tailed(moved, CommonErrors(np.eye(2), np.zeros((0, 0))))
-    np.testing.assert_allclose(actual.step.calibration_error, true, atol=0.05)
-    assert actual.edge_sigma == 0.0
-    assert actual.squared.max() < 14.0
-    assert actual.step.absorbed == pytest.approx(2.0, abs=0.1)
+    fit = solve_heavy_tailed(moved, CommonErrors(np.eye(2), np.zeros((0, 0))))
+    np.testing.assert_allclose(fit.step.calibration_error, true, atol=0.05)
+    assert fit.edge_sigma == 0.0
+    assert fit.squared.max() < 14.0
+    assert fit.step.absorbed == pytest.approx(2.0, abs=0.1)
 
 
 def test_too_few_edges_are_an_error():

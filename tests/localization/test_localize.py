@@ -123,9 +123,7 @@ def test_what_was_found_is_copied_whole(found, copied):
     np.testing.assert_array_equal(
         other.pictures[1].edge_points.pixels, found.pictures[1].edge_points.pixels
     )
-    given, own = (
-        localization.command.base_from_tool.as_matrix() for localization in (found, other)
-    )
+    given, own = (results.command.base_from_tool.as_matrix() for results in (found, other))
     np.testing.assert_array_equal(own, given)
 
 
@@ -218,8 +216,8 @@ def test_of_two_models_that_explain_as_much_the_more_exact_one_is_accepted(pictu
     localizations = find(pictures, [MODEL, larger], starts() + starts(model=1))
     (localization,) = localizations.accepted
     assert localization.model.name == "box"
-    found_of_it, (rival, *_) = localization.verdict.evidence, localization.rivals
-    assert found_of_it.log_likelihood < rival.log_likelihood + 6.0
+    of_box, (rival, *_) = localization.verdict.evidence, localization.rivals
+    assert of_box.log_likelihood < rival.log_likelihood + 6.0
     assert localization.verdict.margin > 6.0
     assert rival.model == 1
 
@@ -232,8 +230,7 @@ def test_clutter_alone_is_nothing():
 
 def test_empty_pictures_are_no_object():
     empty = [
-        EdgePoints(*(part[:0] for part in localization))
-        for localization in clutter(np.random.default_rng(0))
+        EdgePoints(*(part[:0] for part in picture)) for picture in clutter(np.random.default_rng(0))
     ]
     localizations = find(empty)
     assert not len(localizations)
@@ -331,7 +328,7 @@ def test_a_model_that_earlier_views_do_not_show_is_searched_for_again(monkeypatc
     assert {localization.model.name for localization in first} == {"box"}
 
     def find_hypotheses(pictures, views, models, count, *, workspace):
-        assert [localization.name for localization in models] == ["prism"]
+        assert [model.name for model in models] == ["prism"]
         assert len(pictures) == 2
         return starts(second_pose)
 
@@ -340,12 +337,8 @@ def test_a_model_that_earlier_views_do_not_show_is_searched_for_again(monkeypatc
     localizations = localize(
         evidence(both[1:]), poses[1:], CALIBRATION, [MODEL, other], previous=first
     )
-    assert {
-        (localization.model.name, localization.model_index) for localization in localizations
-    } == {
-        ("box", 0),
-        ("prism", 1),
-    }
+    names = {(obj.model.name, obj.model_index) for obj in localizations}
+    assert names == {("box", 0), ("prism", 1)}
 
 
 def test_views_with_and_without_joint_readings_go_together(pictures):

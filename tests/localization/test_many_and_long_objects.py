@@ -63,16 +63,13 @@ def test_a_short_edge_of_a_long_bar_has_enough_samples():
 
 def test_two_bars_side_by_side_are_both_found():
     places = [at(0.0, 0.0), at(0.0, 0.025)]
-    actual = found_among(BAR, places, 0.55, starts(places))
-    assert [localization.verdict.decision for localization in actual] == ["accepted"] * 2, (
-        actual.messages
+    localizations = found_among(BAR, places, 0.55, starts(places))
+    assert [obj.verdict.decision for obj in localizations] == ["accepted"] * 2, (
+        localizations.messages
     )
-    middles = [
-        localization.world_from_object @ [*BAR.vertices.mean(axis=0), 1.0]
-        for localization in actual
-    ]
+    middles = [obj.world_from_object @ [*BAR.vertices.mean(axis=0), 1.0] for obj in localizations]
     assert abs(middles[0] - middles[1])[:3] == pytest.approx([0.0, 0.025, 0.0], abs=2e-4)
-    assert actual.messages == ()
+    assert localizations.messages == ()
 
 
 def test_all_of_many_objects_are_found_by_two_searches(monkeypatch):
@@ -85,9 +82,9 @@ def test_all_of_many_objects_are_found_by_two_searches(monkeypatch):
 
     module = sys.modules["smartview_jax.localization.localize"]
     monkeypatch.setattr(module, "find_hypotheses", find_hypotheses)
-    actual = found_among(CUBE, places, 0.6)
-    assert len(actual.accepted) == len(places)
-    assert actual.messages == ()
+    localizations = found_among(CUBE, places, 0.6)
+    assert len(localizations.accepted) == len(places)
+    assert localizations.messages == ()
     assert len(searches) == 2
 
 

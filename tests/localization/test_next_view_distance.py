@@ -22,8 +22,8 @@ def found(few_samples):
     return localize(pictures, POSES, calibration(), MODEL, hypotheses=[start])
 
 
-def next_of(actual, candidates, **given):
-    return next_view(actual, calibration(), Reachable(candidates, **given))
+def next_of(localizations, candidates, **given):
+    return next_view(localizations, calibration(), Reachable(candidates, **given))
 
 
 def distance_of(view):

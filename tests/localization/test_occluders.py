@@ -80,8 +80,8 @@ def two_views():
     return host_matrices(look_at(MIDDLE, -np.array([up + 0.8 * side, up - 0.8 * side]), 0.4))
 
 
-def chosen(actual, candidates, **options):
-    view = next_view(actual, calibration(), Reachable(candidates), **options)
+def chosen(localizations, candidates, **options):
+    view = next_view(localizations, calibration(), Reachable(candidates), **options)
     return int(np.abs(candidates - view.camera_from_world).max(axis=(1, 2)).argmin()), view
 
 

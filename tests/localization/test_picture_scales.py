@@ -38,20 +38,18 @@ def searched(evidence, calibration):
 
 def test_pictures_enlarged_by_interpolation_change_neither_decision_nor_covariance():
     original = searched(seen_scene().evidence, CALIBRATION)
-    actual = searched(large_evidence(), LARGE_CALIBRATION)
-    assert [picture.scale for picture in (*original, *actual)] == [1.0, 1.0, 0.5, 0.5]
-    for picture in actual:
-        (same,) = (other for other in original if other.model_index == picture.model_index)
-        assert picture.verdict.decision == same.verdict.decision == "accepted"
-        grown = np.linalg.slogdet(picture.covariance)[1] - np.linalg.slogdet(same.covariance)[1]
+    at_twice = searched(large_evidence(), LARGE_CALIBRATION)
+    assert [obj.scale for obj in (*original, *at_twice)] == [1.0, 1.0, 0.5, 0.5]
+    for obj in at_twice:
+        (same,) = (other for other in original if other.model_index == obj.model_index)
+        assert obj.verdict.decision == same.verdict.decision == "accepted"
+        grown = np.linalg.slogdet(obj.covariance)[1] - np.linalg.slogdet(same.covariance)[1]
         # Of six numbers; twice as many independent edge points would halve the variances.
         assert abs(grown / 6.0) < 0.35
-        truth = (
-            seen_scene().world_from_object[picture.model_index] @ picture.model.object_from_object
-        )
-        tangents = host_logarithms(np.linalg.inv(picture.world_from_object) @ truth)
+        truth = seen_scene().world_from_object[obj.model_index] @ obj.model.object_from_object
+        tangents = host_logarithms(np.linalg.inv(obj.world_from_object) @ truth)
         error = tangents[np.argmin(np.linalg.norm(tangents[:, 3:], axis=1))]
-        assert error @ np.linalg.solve(picture.covariance, error) < 25.0
+        assert error @ np.linalg.solve(obj.covariance, error) < 25.0
 
 
 def test_pictures_of_different_sharpness_are_searched_at_the_scale_of_the_sharpest():

@@ -44,8 +44,8 @@ def alone(scene, start, uncertainty, prepared):
     refined = refine_pose(start, model, prepared.fine, scene.views, scene.lookup, uncertainty)
     lines = scene.lines(refined.world_from_object, prepared.fine)
     middle = prepared.middle_at(refined.world_from_object)
-    actual = scene.evidence(lines, prepared.fine, middle)
-    verdict = judge(actual, 1, np.inf)._replace(decision="accepted")
+    evidence = scene.evidence(lines, prepared.fine, middle)
+    verdict = judge(evidence, 1, np.inf)._replace(decision="accepted")
     return Localization(model, 0, refined, verdict, ())
 
 
@@ -124,15 +124,15 @@ def test_the_solution_is_that_of_all_unknowns_together(views, uncertainty, model
     scene = scene_of(views, pictures)
     before = [alone(scene, pose, uncertainty, prepared) for pose in (POSE, OTHER_POSE)]
     after = refined_together(before, scene, [prepared], uncertainty)
-    own = [localization.refined.equations for localization in after]
-    J = block_diag(*(localization.by_pose for localization in own))
+    equations = [obj.refined.equations for obj in after]
+    J = block_diag(*(part.by_pose for part in equations))
     # Equations are about the refined poses: there the best tangent of all unknowns is zero.
-    r = np.concatenate([localization.residuals for localization in own])
-    weights = 1.0 / np.sqrt(
-        np.concatenate([np.diagonal(localization.noise) for localization in own])
-    )
+    r = np.concatenate([part.residuals for part in equations])
+    weights = 1.0 / np.sqrt(np.concatenate([np.diagonal(part.noise) for part in equations]))
     root = np.linalg.cholesky(uncertainty.covariance)
-    B = np.concatenate([np.hstack([e.by_calibration @ root, 1e-4 * e.by_vertices]) for e in own])
+    B = np.concatenate(
+        [np.hstack([e.by_calibration @ root, 1e-4 * e.by_vertices]) for e in equations]
+    )
     numbers = B.shape[1]
     A = np.block(
         [[weights[:, None] * J, weights[:, None] * B],
@@ -155,8 +155,6 @@ def test_what_is_not_accepted_stays_as_it_is(views, uncertainty, prepared):
     pictures = drawn(MODEL, views, POSE, 0.1)
     scene = scene_of(views, pictures)
     localization = alone(scene, POSE, uncertainty, prepared)
-    left = localization._replace(verdict=localization.verdict._replace(decision="open"))
-    assert refined_together([localization, left], scene, [prepared], uncertainty) == [
-        localization,
-        left,
-    ]
+    undecided = localization._replace(verdict=localization.verdict._replace(decision="open"))
+    both = [localization, undecided]
+    assert refined_together(both, scene, [prepared], uncertainty) == both

@@ -31,13 +31,13 @@ def seen_objects(rng, translation, rotation, count=4, numbers=0):
         for view, given in enumerate(VIEWS.camera_from_world):
             sigmas = rng.uniform(1.0, 3.0, 6) * np.repeat([2e-5, 4e-4], 3)
             in_camera = host_exponentials(errors[view]) @ given @ pose
-            actual = (
+            estimated = (
                 np.linalg.inv(given) @ in_camera @ host_exponentials(sigmas * rng.normal(size=6))
             )
-            by_camera = -host_adjoints(np.linalg.inv(given @ actual))
+            by_camera = -host_adjoints(np.linalg.inv(given @ estimated))
             by_numbers = rng.normal(size=(6, numbers))
             covariance = np.diag(sigmas**2)
-            seen.append(PoseInView(view, actual, covariance, by_numbers, by_camera, MANY))
+            seen.append(PoseInView(view, estimated, covariance, by_numbers, by_camera, MANY))
         objects.append(seen)
     return objects, errors
 

@@ -113,9 +113,7 @@ def grasped(rig, found, names, errors, rng):
     jacobian = found.calibration_jacobian[:, : len(names)]
     together = PlacedObject(MODEL, found.world_from_object, found.covariance, jacobian, names)
     alone = together._replace(calibration_jacobian=None)
-    return eta, *(
-        error_covariance(localization, back, known)[:6, :6] for localization in (together, alone)
-    )
+    return eta, *(error_covariance(placed, back, known)[:6, :6] for placed in (together, alone))
 
 
 def test_a_pose_from_a_stereo_pair_is_as_uncertain_as_it_is_said_to_be(rig, wireframe):
@@ -161,11 +159,11 @@ def test_an_object_is_found_in_a_stereo_pair(rig, pictures, monkeypatch):
         )
         for frame, pose in (("world", POSE), ("base", BASE_FROM_WORLD @ POSE))
     )
-    (actual,), (in_base,) = results, in_base
-    assert actual.verdict.decision == "accepted"
-    assert np.linalg.norm(error_of(actual.world_from_object)[:3]) < 1e-4
+    (in_world,), (in_base,) = results, in_base
+    assert in_world.verdict.decision == "accepted"
+    assert np.linalg.norm(error_of(in_world.world_from_object)[:3]) < 1e-4
     assert results.calibration.cameras == ("left", "right")
-    expected = BASE_FROM_WORLD @ actual.world_from_object
+    expected = BASE_FROM_WORLD @ in_world.world_from_object
     np.testing.assert_allclose(in_base.world_from_object, expected, atol=1e-6)
     # What is in the base frame is not taken for what is in the world frame.
     with pytest.raises(ValueError, match="found poses in the base frame"):
@@ -193,8 +191,8 @@ def test_earlier_pictures_are_read_with_the_cameras_that_took_them(rig):
 
 def test_earlier_pictures_of_another_rig_are_refused(rig):
     other = estimate({**stereo_pair(), "left": stereo_pair()["right"]})
-    localization = as_checked_command(POSES[:1])
-    previous = Localizations([], (), (), localization, RigViews(rig, ["left"]))
+    command = as_checked_command(POSES[:1])
+    previous = Localizations([], (), (), command, RigViews(rig, ["left"]))
     for calibration, said in (
         (RigViews(other, ["right"]), "another calibration of 'left', of a camera of 640x480 px"),
         (RigViews({"right": other.calibrations["right"]}, ["right"]), "of camera 'left', which"),
@@ -202,10 +200,10 @@ def test_earlier_pictures_of_another_rig_are_refused(rig):
         (rig.calibrations["left"], "its views are of several cameras; give RigViews"),
     ):
         with pytest.raises(ValueError, match=f"^previous: .*{said}"):
-            together_with(previous, calibration, localization)
-    single = Localizations([], (), (), localization, rig.calibrations["left"])
+            together_with(previous, calibration, command)
+    single = Localizations([], (), (), command, rig.calibrations["left"])
     with pytest.raises(ValueError, match=r"^previous: it was found with a single calibration"):
-        together_with(single, RigViews(rig, ["left"]), localization)
+        together_with(single, RigViews(rig, ["left"]), command)
 
 
 def test_pictures_of_a_wrong_camera_are_named(rig, pictures):

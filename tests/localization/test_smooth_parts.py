@@ -122,9 +122,9 @@ def radii_across(camera_from_object, points, normals):
     return FOCAL / depth / curvature
 
 
-def squared_error(actual):
-    error = host_logarithms(np.linalg.inv(actual.world_from_object) @ TRUTH)
-    return error, error @ np.linalg.solve(actual.covariance, error)
+def squared_error(refined):
+    error = host_logarithms(np.linalg.inv(refined.world_from_object) @ TRUTH)
+    return error, error @ np.linalg.solve(refined.covariance, error)
 
 
 def test_a_smooth_part_is_refined_by_its_outline(egg):

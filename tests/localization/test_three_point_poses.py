@@ -16,22 +16,22 @@ def problems(count, seed=0):
     return points, poses, seen / np.linalg.norm(seen, axis=2, keepdims=True)
 
 
-def gaps(actual, good, pose):
+def gaps(solutions, good, pose):
     """The largest differences of all solutions from a pose."""
-    return np.where(good, np.abs(actual - pose).max(axis=(-1, -2)), np.inf)
+    return np.where(good, np.abs(solutions - pose).max(axis=(-1, -2)), np.inf)
 
 
 def test_the_true_pose_is_among_the_solutions_and_all_solutions_fit():
     points, poses, rays = problems(5000)
-    actual, good = three_point_poses(rays, points)
-    nearest = gaps(actual, good, poses[:, None]).min(axis=1)
+    solutions, good = three_point_poses(rays, points)
+    nearest = gaps(solutions, good, poses[:, None]).min(axis=1)
     # Where two solutions meet, both are ill-defined: a few in a thousand.
     assert (nearest < 1e-6).mean() > 0.998
     n, k = np.nonzero(good)
-    seen = points[n] @ actual[n, k, :3, :3].transpose(0, 2, 1) + actual[n, k, None, :3, 3]
+    seen = points[n] @ solutions[n, k, :3, :3].transpose(0, 2, 1) + solutions[n, k, None, :3, 3]
     seen /= np.linalg.norm(seen, axis=2, keepdims=True)
     assert np.abs(seen - rays[n]).max() < 1e-4
-    rotations = actual[n, k, :3, :3]
+    rotations = solutions[n, k, :3, :3]
     np.testing.assert_allclose(np.linalg.det(rotations), 1.0, atol=1e-9)
 
 

@@ -16,34 +16,32 @@ from smartview_jax.geometry import (
 from smartview_jax.localization.view_gains import noise_at_camera
 from smartview_jax.simulation import paper_calibration
 
-SIZES = np.array([1e-6, 1e-6, 1e-4, 2e-5, 1e-6, 1e-6])
+COVARIANCE = np.diag(np.array([1e-6, 1e-6, 1e-4, 2e-5, 1e-6, 1e-6]) ** 2)
 
 
 @pytest.mark.parametrize("mount", ["eye_in_hand", "eye_to_hand"])
 @pytest.mark.parametrize("frame", ["tool", "base"])
 def test_the_camera_moves_as_the_tool_errs(mount, frame):
-    # Without a lever from the tool to the camera, which is not counted.
-    turn = host_exponentials(np.array([0.0, 0.0, 0.0, 0.4, -0.3, 0.9]))
+    camera_from_mount = host_exponentials(np.array([0.05, -0.02, 0.1, 0.4, -0.3, 0.9]))
     paper = paper_calibration()
-    calibration = Calibration(paper.camera, host_transforms(turn), paper.holder_from_world, mount)
-    axes = np.diag(SIZES**2), np.zeros((6, 6))
-    directions = PoseDirections.of(*(axes if frame == "tool" else axes[::-1]))
-    noise = Noise(1.0, 1e-4, 1e-4, directions=directions)
-    base_from_tool = host_exponentials(np.array([0.0, 0.0, 0.0, -0.2, 0.5, 0.1]))
-    candidates = host_matrices(calibration.camera_from_world(host_transforms(base_from_tool)))
-    found = noise_at_camera(noise, calibration, candidates[None])
-    twists = SIZES * np.random.default_rng(0).normal(size=(5_000, 6))
-    if frame == "base":
-        inverse = base_from_tool[:3, :3].T
-        twists = np.concatenate([twists[:, :3] @ inverse.T, twists[:, 3:] @ inverse.T], axis=1)
-    erring = host_matrices(
-        calibration.camera_from_world(host_transforms(base_from_tool @ host_exponentials(-twists)))
+    calibration = Calibration(
+        paper.camera, host_transforms(camera_from_mount), paper.holder_from_world, mount
     )
-    drawn = np.cov(host_logarithms(erring @ np.linalg.inv(candidates)), rowvar=False)
-    if mount == "eye_to_hand":
-        # The target's lever is counted where it is: it moves the camera's translation.
-        found, drawn = found[:, 3:, 3:], drawn[3:, 3:]
-    np.testing.assert_allclose(found[0], drawn, atol=0.06 * np.abs(drawn).max())
+    parts = COVARIANCE, np.zeros((6, 6))
+    directions = PoseDirections.of(*(parts if frame == "tool" else parts[::-1]))
+    noise = Noise(1.0, 1e-4, 1e-4, directions=directions)
+    base_from_tool = host_exponentials(np.array([0.4, 0.1, -0.3, -0.2, 0.5, 0.1]))
+    candidate = host_matrices(calibration.camera_from_world(host_transforms(base_from_tool)))
+    covariance = noise_at_camera(noise, calibration, candidate[None])
+    assert covariance is not None
+    step = 1e-6
+    erring = base_from_tool @ host_exponentials(-step * np.eye(6))
+    moved = host_matrices(calibration.camera_from_world(host_transforms(erring)))
+    by_tool = host_logarithms(moved @ np.linalg.inv(candidate)).T / step
+    if frame == "base":
+        by_tool = by_tool @ np.kron(np.eye(2), base_from_tool[:3, :3].T)
+    expected = by_tool @ COVARIANCE @ by_tool.T
+    np.testing.assert_allclose(covariance[0], expected, atol=1e-5 * expected.max())
 
 
 def test_nothing_is_known_of_free_or_exact_poses():

@@ -32,9 +32,9 @@ def drawn(calibration, poses, count, seed=0, sigma=SIGMA):
     return Lines(middle, direction), segments + sigma * rng.standard_normal(segments.shape)
 
 
-def errors(actual, truth):
+def errors(triangulated, truth):
     """The shifts and turns that bring the true lines to the found ones, at the found points."""
-    lines = actual.lines
+    lines = triangulated.lines
     sign = np.sign(np.einsum("li,li->l", lines.directions, truth.directions))[:, None]
     # The true line's point nearest to the found one.
     t = np.einsum("li,li->l", lines.points - truth.points, truth.directions)[:, None]

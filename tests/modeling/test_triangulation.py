@@ -149,7 +149,7 @@ def test_a_robust_loss_resists_a_gross_error(calibration, poses):
         triangulate_points(calibration, poses, pixels, pixel_sigma=SIGMA, loss=loss)
         for loss in (None, GemanMcClure())
     )
-    errors = [np.linalg.norm(actual.points - points, axis=1) for actual in (plain, robust)]
+    errors = [np.linalg.norm(result.points - points, axis=1) for result in (plain, robust)]
     assert np.median(errors[1]) < 0.2 * np.median(errors[0])
 
 
@@ -250,7 +250,7 @@ def test_triangulation_is_differentiable_and_batched(calibration, poses):
     np.testing.assert_allclose(reverse, forward, rtol=1e-9)
     slope = (depths[1] - depths[2]) / 2e-2
     assert reverse[0, 1, 0, 0] == pytest.approx(slope, rel=1e-3)
-    alone = [triangulate_points(calibration, poses, arrays).points[0, 2] for arrays in sets]
+    alone = [triangulate_points(calibration, poses, clicks).points[0, 2] for clicks in sets]
     np.testing.assert_allclose(depths, alone, rtol=1e-12, atol=1e-15)
 
 

@@ -58,15 +58,15 @@ def seen(model, decision="accepted", *reasons):
     return Localization(model, 0, refined, Verdict(decision, reasons, None, -20.0, np.inf), ())
 
 
-def localizations(*actual, pictures=(), command=None):
+def localizations(*results, pictures=(), command=None):
     """What was found, with messages as `localize` has them."""
     at = Command(host_transforms(np.eye(4)[None])) if command is None else command
     messages = [
         localization.message.replace("rejected", "not found")
-        for localization in actual
+        for localization in results
         if not localization.accepted
     ]
-    return Localizations(actual, tuple(messages), pictures, at)
+    return Localizations(results, tuple(messages), pictures, at)
 
 
 def view_of(reason="it separates the object from 1 remaining rival"):

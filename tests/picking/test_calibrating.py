@@ -121,15 +121,15 @@ def test_what_perspective_makes_of_the_circles_is_corrected(monkeypatch):
         "smartview_jax.picking.calibrating.calibrate", lambda data, progress: fitted.append(data)
     )
     calibrated = calibrate_cell(Drawn(), BOARD, drawn_calibration(), six_axes(), BoardViews(8))
-    actual = calibrated.data
-    assert actual.joints is not None
-    assert len(calibrated.pictures) == len(actual.pixels) >= 6
+    data = calibrated.data
+    assert data.joints is not None
+    assert len(calibrated.pictures) == len(data.pixels) >= 6
     # The arm is exact: what it reports is true.
-    poses = camera_from_world(actual.base_from_tool)
+    poses = camera_from_world(data.base_from_tool)
     centres = np.stack([projected(BOARD.points, pose) for pose in poses])
     as_found, corrected = (
         np.nanmean(np.where(np.asarray(d.visible)[..., None], d.pixels - centres, np.nan), axis=1)
-        for d in (actual, fitted[0])
+        for d in (data, fitted[0])
     )
     assert np.abs(as_found).max() > 0.08
     assert np.abs(corrected).max() < 0.3 * np.abs(as_found).max()

@@ -27,7 +27,7 @@ REASONS = (
 )
 
 
-def look_of(count, chosen, *actual):
+def look_of(count, chosen, *results):
     """Views of the region from above."""
     directions = np.column_stack(
         [np.linspace(-0.3, 0.3, count), np.full(count, 0.2), -np.ones(count)]
@@ -35,8 +35,8 @@ def look_of(count, chosen, *actual):
     poses = np.linalg.inv(host_matrices(look_at(REGION.centre, directions, 0.5)))
     evidence = picture_evidence(STRIPED, CAMERA)
     command = Command(host_transforms(poses))
-    there = localizations(*actual, pictures=(evidence,) * count, command=command)
-    return Look(there, (STRIPED,) * count, command, chosen, ("view 3: why",))
+    found = localizations(*results, pictures=(evidence,) * count, command=command)
+    return Look(found, (STRIPED,) * count, command, chosen, ("view 3: why",))
 
 
 def strip_of(*phases):
@@ -47,8 +47,8 @@ def strip_of(*phases):
 def test_figure_8_has_its_parts_and_a_reason_in_a_sentence(reason):
     look = look_of(3, view_of(reason), seen(MODEL))
     section = localised_section(look, CALIBRATED, REGION, strip_of("before", "pre_grasp"))
-    assert [entry.name for entry in section.figures] == [f"({letter})" for letter in "abcdef"]
-    texts = [entry.text for entry in section.figures]
+    assert [figure.name for figure in section.figures] == [f"({letter})" for letter in "abcdef"]
+    texts = [figure.text for figure in section.figures]
     assert texts[0] == "edges and features of view 1"
     assert texts[2] == "the verification view"
     assert texts[5] == "the bin, last seen: pre-grasp"
@@ -62,7 +62,7 @@ def test_figure_8_has_its_parts_and_a_reason_in_a_sentence(reason):
     assert np.ptp(alone[~coloured]) == 0
     sentences = re.split(r"(?<=\.) ", section.text)
     assert sentences[-1] == f"Why it was chosen: {reason}."
-    assert all(re.fullmatch(r"[A-Z].*[^.]\.", entry) for entry in sentences)
+    assert all(re.fullmatch(r"[A-Z].*[^.]\.", sentence) for sentence in sentences)
 
 
 def test_two_views_that_were_enough_have_no_reason():

@@ -88,8 +88,8 @@ def test_what_is_accepted_is_verified_from_one_view(look):
 def test_a_view_that_brings_less_than_it_costs_is_not_taken(look):
     """The view of `look` gains one nat."""
     cell = FakeCell()
-    for actual in (ACCEPTED, OPEN):
-        result = look(cell, [actual], view_cost=1.5)
+    for localization in (ACCEPTED, OPEN):
+        result = look(cell, [localization], view_cost=1.5)
         assert len(result.pictures) == 2
         assert result.verification is None
         assert result.notes[0].startswith(

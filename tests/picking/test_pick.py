@@ -97,7 +97,7 @@ def test_what_is_not_accepted_is_not_grasped_and_named_by_its_verdict(attempt, d
 def test_what_may_be_there_is_an_obstacle(attempt):
     others = [box(name=name) for name in ("second", "third", "fourth")]
     decisions = ("accepted", "open", "rejected")
-    undecided = [seen(model, obj) for model, obj in zip(others, decisions, strict=True)]
+    undecided = [seen(model, decision) for model, decision in zip(others, decisions, strict=True)]
     attempt([seen(BOX), *undecided, seen(WIRE, "open")])
     assert attempt.obstacles["box"] == ["table", "second", "third"]
     assert attempt.obstacles["second"] == ["table", "box", "third"]

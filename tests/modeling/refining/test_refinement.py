@@ -135,8 +135,8 @@ def test_the_cost_is_what_releasing_the_constraint_saves(calibration, poses):
     refined = refine(None, observed(calibration, poses, pixels), known)
 
     def chi_square(constraints):
-        click = refine(None, observed(calibration, poses, pixels), constraints)
-        return np.nansum(click.residuals**2) / SIGMA**2
+        free = refine(None, observed(calibration, poses, pixels), constraints)
+        return np.nansum(free.residuals**2) / SIGMA**2
 
     whole = chi_square(known)
     for k, verdict in enumerate(refined.verdicts):
@@ -288,24 +288,24 @@ def test_what_remains_without_a_click_is_what_a_refinement_without_it_leaves(cal
     pixels[1, 2] += [4.0, -3.0]
 
     def chi_square(clicked):
-        actual = refine(None, observed(calibration, poses, clicked), SOME_FACTS)
-        soft = actual.verdicts[2].residuals / 1e-4
-        return np.nansum((actual.residuals / SIGMA) ** 2) + np.sum(soft**2), actual.points
+        refined = refine(None, observed(calibration, poses, clicked), SOME_FACTS)
+        soft = refined.verdicts[2].residuals / 1e-4
+        return np.nansum((refined.residuals / SIGMA) ** 2) + np.sum(soft**2), refined.points
 
     _, points = chi_square(pixels)
     # With an agreement of zero every click is a suspect.
-    actual = suspect_clicks(
+    suspects = suspect_clicks(
         calibration, poses, pixels, points, SOME_FACTS, pixel_sigma=SIGMA, agreement=0.0
     )
-    assert len(actual) == 24
-    for click in (*actual[:2], actual[-1]):
+    assert len(suspects) == 24
+    for click in (*suspects[:2], suspects[-1]):
         rest = pixels.copy()
         rest[click.view, click.point] = np.nan
         assert click.chi_square == pytest.approx(chi_square(rest)[0], rel=0.03)
     # 46 coordinates and 4 facts (four points in one plane are one), 24 unknown.
-    assert actual[0].degrees_of_freedom == 46 - 24 + 4
-    actual = suspect_clicks(calibration, poses, pixels, points, SOME_FACTS, pixel_sigma=SIGMA)
-    assert [(click.view, click.point) for click in actual] == [(1, 2)]
+    assert suspects[0].degrees_of_freedom == 46 - 24 + 4
+    suspects = suspect_clicks(calibration, poses, pixels, points, SOME_FACTS, pixel_sigma=SIGMA)
+    assert [(click.view, click.point) for click in suspects] == [(1, 2)]
 
 
 def test_robot_noise_is_no_reason_to_suspect_a_click(calibration, poses, uncertain):
@@ -319,7 +319,7 @@ def test_robot_noise_is_no_reason_to_suspect_a_click(calibration, poses, uncerta
             noise.translation,
             noise.rotation,
         )
-        actual = suspect_clicks(
+        suspects = suspect_clicks(
             calibration,
             host_matrices(reported),
             clicks(calibration, poses, seed),
@@ -329,6 +329,6 @@ def test_robot_noise_is_no_reason_to_suspect_a_click(calibration, poses, uncerta
             pixel_sigma=SIGMA,
             agreement=0.0,
         )
-        rest += [click.chi_square / click.degrees_of_freedom for click in actual[-1:]]
+        rest += [click.chi_square / click.degrees_of_freedom for click in suspects[-1:]]
     # 8 means of 56 squares each: a standard deviation of 0.07.
     assert 0.8 < np.mean(rest) < 1.2

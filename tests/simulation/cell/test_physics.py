@@ -25,15 +25,15 @@ def physics(*objects, fixtures=()):
     return simulation
 
 
-def lifted_by(actual, offset=0.0):
+def lifted_by(simulation, offset=0.0):
     """How far the first object rises when it is grasped and the gripper goes up 0.14 m."""
-    height = actual.world_from_object(0)[2, 3]
-    actual.place_gripper(pose(offset, z=0.1, rotation=DOWN))
-    actual.move_fingers(0.07)
-    actual.lead_gripper(pose(offset, z=0.012, rotation=DOWN))
-    actual.move_fingers(0.0)
-    actual.lead_gripper(pose(offset, z=0.152, rotation=DOWN))
-    return actual.world_from_object(0)[2, 3] - height
+    height = simulation.world_from_object(0)[2, 3]
+    simulation.place_gripper(pose(offset, z=0.1, rotation=DOWN))
+    simulation.move_fingers(0.07)
+    simulation.lead_gripper(pose(offset, z=0.012, rotation=DOWN))
+    simulation.move_fingers(0.0)
+    simulation.lead_gripper(pose(offset, z=0.152, rotation=DOWN))
+    return simulation.world_from_object(0)[2, 3] - height
 
 
 @pytest.mark.parametrize("solid", [BOX, stepped_block(0.05)], ids=["box", "prism"])
