@@ -162,7 +162,8 @@ def test_the_report_is_one_page_that_fetches_nothing(result):
     assert drawn_by.count("data:image/png;base64,") == 6
     assert not re.findall(r'(?:src|href)="(?!data:)', drawn_by)
     for words in ("Rejected points and views", "What the data cannot tell", "camera.lens.k1"):
-        assert words in page
+        # Names may break after a full stop.
+        assert words in page.replace("<wbr>", "")
     assert sorted(p.name for p in out.iterdir()) == [
         "calibration.yaml",
         "calibration_staged.yaml",

@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.linalg import block_diag
 
 from ..calibration import Calibration
 from ..cameras import distinct_cameras
@@ -268,7 +267,13 @@ class CalibrationUncertainty(NamedTuple):
         columns = np.zeros((*self.view_jacobian.shape[:2], 6 * len(names)))
         for view, (twist, derivatives) in enumerate(zip(twist_of_view, by_twist, strict=False)):
             columns[view, -6:, 6 * twist : 6 * twist + 6] = derivatives
-        covariance = np.asarray(block_diag(self.covariance, *covariances))
+        # Not by SciPy, which the robot's commands do not import.
+        known = len(self.covariance)
+        covariance = np.zeros((known + columns.shape[-1],) * 2)
+        covariance[:known, :known] = self.covariance
+        for k, of_twist in enumerate(covariances):
+            place = slice(known + 6 * k, known + 6 * (k + 1))
+            covariance[place, place] = of_twist
         return CalibrationUncertainty(
             (*self.names, *correction_names(names)),
             covariance,

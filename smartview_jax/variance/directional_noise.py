@@ -228,7 +228,7 @@ def estimate_directions(
     """
     prior = prior or DirectionalPrior()
     free = np.asarray(views.per_view_free)
-    unseen = ~free.any(axis=1)
+    unseen = np.all(~free, axis=1)
     if not (free.all(axis=1) | unseen).all():
         return None
     # A state that no camera saw tells nothing, whether its correction is held or not.

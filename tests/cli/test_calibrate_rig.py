@@ -237,8 +237,8 @@ def test_the_next_states_of_the_robot_are_planned(rig, fit, folder, tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["{out}/camera1.yaml", "{folder}"], "expected the folder that calibrate wrote for it, w"),
-        (["{folder}"], "expected the folder that calibrate wrote for it, with rig.joint.yaml"),
+        (["{out}/camera1.yaml", "{folder}"], "expected the folder RESULTS that smartview cal"),
+        (["{folder}"], "writes, with rig.joint.yaml, and this folder"),
         (["{folder}", "--start", "camera_from_tool=0,0,0,0,0,0"], "plan the first views of one"),
         (["{out}", "{folder}", "--camera", "{out}"], "--camera: only with --start"),
     ],

@@ -43,15 +43,17 @@ def test_offsets_and_scale_are_those_of_the_reference(data, start):
 
 def test_the_arms_own_errors_are_what_the_likelihood_chooses(data, start):
     found = fit_joint(data, start, noise="estimated", free=("target_scale",))
-    assert found.noise_estimate.name in ("joint_offsets", "dh")
+    # Its joints have torque sensors, which bend.
+    assert found.noise_estimate.name == "elastic_dh"
     gains = {other.name: other.log_likelihood_ratio for other in found.noise_estimate.candidates}
     assert gains["joint_offsets"] > gains["white"] + 100.0
+    assert gains["elastic_dh"] > gains["dh"] + 20.0
     assert reprojection_errors(found.calibration, data).rms <= 1.45
     # The first and the last joint's zeros are the target's and the mount's: no data tell them.
     offsets = np.asarray(found.calibration.robot_error.coefficients[:7])
     np.testing.assert_allclose(offsets[[0, 6]], 0.0, atol=1e-5)
-    expected = [0.0108, -0.0054, -0.0094, -0.0018, 0.0222]
-    np.testing.assert_allclose(offsets[1:6], expected, atol=2e-3)
+    # Elsewhere they are as without bending, but of the two joints that bend most.
+    np.testing.assert_allclose(offsets[[2, 3, 5]], [-0.0054, -0.0094, 0.0222], atol=2e-3)
     # More views would not help: what the last zero does to the mount is not asked of them.
     (said,) = [text for text in found.warnings if "camera_from_tool.rotation.y" in text]
     assert "the zero of the last joint is equivalent to a rotation of the mount" in said

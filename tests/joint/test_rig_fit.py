@@ -250,10 +250,8 @@ def test_reasons_to_doubt_are_said(fit):
     assert direction.components == (("camera.u0", 1.0),)
     whole = undetermined.estimate("camera2").observability
     assert whole.rank == whole.parameter_count
-    weak = dataclasses.replace(
-        fit, noises={"arm": dataclasses.replace(fit.noise, translation=0.05)}
-    )
-    (text,) = rig_warnings(weak, prior)
+    weak = fit.noise_estimate._replace(noise=dataclasses.replace(fit.noise, translation=0.05))
+    (text,) = rig_warnings(dataclasses.replace(fit, noise_estimates={"arm": weak}), prior)
     assert "the robot's poses err by 50 mm" in text
     calibration = fit.calibrations["camera2"]
     width, height = calibration.camera.image_size

@@ -19,6 +19,7 @@ from smartview_jax.robot_errors import (
     RobotError,
     RobotPrior,
     ScaleError,
+    SmoothInPose,
 )
 from smartview_jax.simulation import paper_calibration
 
@@ -148,8 +149,11 @@ def test_a_smooth_errors_twist_is_the_true_one_up_to_what_no_data_tell(crooked):
 
 def test_a_field_is_kept_with_the_calibration_and_priors_say_its_size(crooked):
     _, _, found = crooked
-    assert isinstance(found.calibration.robot_error.field, LinearInPose)
-    assert len(found.noise.field) == 4
+    # It contains the linear field that the robot has.
+    field = found.calibration.robot_error.field
+    assert isinstance(field, SmoothInPose)
+    assert len(found.noise.field) == len(field.groups)
+    assert set(field.names) >= set(LinearInPose(field.centre, field.reach, field.axes).names)
     assert "robot_error.translation_by_position.0" in found.std
     assert found.pose_corrections.shape == (VIEWS, 6)
 
