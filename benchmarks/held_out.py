@@ -22,7 +22,7 @@ BOUNDS = {
     ("visp_franka_eih", ""): 5.0,
     ("koide_charuco", "20231006_"): 1.7,
     ("tampere_synthetic", "cs3_"): 0.034,
-    ("lwr4_joint", ""): 3.1,
+    ("lwr4_joint", ""): 1.6,
 }
 """Held-out px that the fit with estimated errors keeps below."""
 
