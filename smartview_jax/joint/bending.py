@@ -11,7 +11,7 @@ from .joint_fit import JointFit
 
 MIN_BENDING_PROBABILITY = 0.5
 """Probability of the models with errors that are quadratic in the position, above which the bending
-of an arm of unknown geometry is named."""
+of an arm of unknown geometry is named, if it is significant."""
 
 
 def bending_warnings(fit: JointFit) -> list[str]:
@@ -42,7 +42,7 @@ def _yielding_joints(fit: JointFit) -> list[str]:
 
 
 def _curved_errors(fit: JointFit) -> list[str]:
-    """Return a sentence on errors that are quadratic in the position, if they are probable."""
+    """Return a sentence on errors quadratic in the position, if probable and significant."""
     assert fit.noise_estimate is not None
     probability = sum(
         candidate.probability
@@ -62,6 +62,8 @@ def _curved_errors(fit: JointFit) -> list[str]:
     rms = float(np.sqrt(values @ moments @ values))
     gradient = moments @ values / max(rms, np.finfo(float).tiny)
     std = float(np.sqrt(gradient @ covariance @ gradient))
+    if not rms > MIN_SHAPE_SIGMAS * std:
+        return []
     return [
         f"the robot's error is curved, as of an arm that bends under its weight: over the views "
         f"{1e3 * rms:.2f} +- {1e3 * std:.2f} mm RMS from a straight line; this is corrected"

@@ -1,5 +1,7 @@
 """An arm that bends under its weight: its errors are curved, and the mount does not pay for it."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from elastic_arm import elastic_scene
@@ -9,6 +11,7 @@ from starts import nudged
 from smartview_jax import Calibration, fit_joint
 from smartview_jax.engine import with_lens
 from smartview_jax.io import robot_urdf
+from smartview_jax.joint.bending import bending_warnings
 
 BENDING = 2.0
 """Twice the usual, so that sixteen views tell."""
@@ -57,6 +60,12 @@ def test_errors_that_are_quadratic_in_the_position_are_likelier_than_linear_ones
     assert (errors < widths).all()
     (said,) = [text for text in unknown.warnings if "error is curved" in text]
     assert "mm RMS from a straight line" in said
+
+
+def test_a_curve_within_its_uncertainty_is_not_named(unknown):
+    uncertain = dataclasses.replace(unknown, covariance=1e4 * unknown.covariance)
+    assert any("curved" in text for text in bending_warnings(unknown))
+    assert bending_warnings(uncertain) == []
 
 
 def test_the_bending_of_a_known_joint_is_found_and_named(known, scene):
