@@ -43,7 +43,7 @@ ROWS = (
     Row(
         ESTIMATED,
         lambda _: {"noise": "estimated", "free": ("target_scale",)},
-        (1.45, 3.1, 3.3),
+        (0.6, 1.6, 1.5),
     ),
 )
 
