@@ -18,7 +18,6 @@ captured again: an interrupted benchmark continues.
 
 import argparse
 import dataclasses
-import json
 import os
 import signal
 import subprocess
@@ -43,6 +42,8 @@ from smartview_jax.dataset import MINIMUM_RELIABLE_VIEWS
 from smartview_jax.geometry import host_matrices
 from smartview_jax.io import GrowingDataset, load_dataset
 from smartview_jax.simulation import CellTruth, SimulatedCell, random_truth
+
+from .records import append_record, read_records
 
 ERROR_SCALE = 0.3
 """Errors of the arm, as multiples of those in `random_truth`."""
@@ -185,10 +186,7 @@ def captured(seed: int, divisor: int, goal: float) -> Captured:
 
 def _kept(path: Path | None) -> dict[int, Captured]:
     """Return the cells that a file of results holds, by seed."""
-    if path is None or not path.exists():
-        return {}
-    records = map(json.loads, path.read_text(encoding="utf-8").splitlines())
-    return {record.pop("seed"): Captured(**record) for record in records}
+    return {record.pop("seed"): Captured(**record) for record in read_records(path)}
 
 
 def _cells(seeds: int, divisor: int, goal: float, jobs: int, path: Path | None) -> list[Captured]:
@@ -198,10 +196,7 @@ def _cells(seeds: int, divisor: int, goal: float, jobs: int, path: Path | None) 
     def cell_of(seed: int) -> Captured:
         if seed not in kept:
             kept[seed] = captured(seed, divisor, goal)
-            if path is not None:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                with path.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps({"seed": seed, **kept[seed]._asdict()}) + "\n")
+            append_record(path, {"seed": seed, **kept[seed]._asdict()})
         return kept[seed]
 
     with ThreadPoolExecutor(jobs) as workers:

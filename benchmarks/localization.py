@@ -33,6 +33,7 @@ from .localization_scenes import CELL_ROWS, camera, solids
 from .localization_spoilt import print_spoilt_pictures
 from .localization_tables import SceneSeconds, print_seconds, print_tables
 from .localization_trials import trial
+from .records import append_record, read_records
 
 RESULTS = Path(__file__).parents[1] / "build" / "localization" / "records.jsonl"
 """Where the records are, unless stated."""
@@ -72,14 +73,7 @@ def jobs(scenes: dict[str, int], first_seed: int = FIRST_SEED) -> list[tuple[str
 
 def done(path: Path) -> dict[tuple[str, int], dict]:
     """Return the records of a file by kind and seed; a line that was cut off is left out."""
-    records = {}
-    for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else []:
-        try:
-            record = json.loads(line)
-        except json.JSONDecodeError:
-            continue
-        records[record["kind"], record["seed"]] = record
-    return records
+    return {(record["kind"], record["seed"]): record for record in read_records(path)}
 
 
 def work(
@@ -92,10 +86,7 @@ def work(
             continue
         if cell not in rigs:
             rigs[cell] = calibrated(cell)
-        line = json.dumps({"cell": cell} | trial(rigs[cell], kind, seed)) + "\n"
-        # One write of a whole line: several processes append to one file.
-        with path.open("ab", buffering=0) as file:
-            file.write(line.encode())
+        append_record(path, {"cell": cell} | trial(rigs[cell], kind, seed))
 
 
 def _run_workers(path: Path, workers: int, scenes: dict[str, int]) -> None:

@@ -17,7 +17,6 @@ interrupted benchmark goes on where it was.
 """
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
@@ -31,6 +30,7 @@ from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.simulation import paper_calibration, random_scene
 
 from .real_sets import LENS, SHARED, held_out_px
+from .records import append_record, read_records
 
 STAGED, TRUSTED, WHITE, DEFAULT = "staged", "robot trusted", "white noise", "default"
 SIMPLE = (STAGED, TRUSTED, WHITE)
@@ -141,19 +141,13 @@ def _errors_by_seed(
         key = f"{cell}, seed {seed}"
         if key not in done:
             done[key] = _errors(cell, seed)
-            if results is not None:
-                results.parent.mkdir(parents=True, exist_ok=True)
-                with results.open("a") as file:
-                    file.write(json.dumps({"run": key, "errors": done[key]}) + "\n")
+            append_record(results, {"run": key, "errors": done[key]})
         yield done[key]
 
 
 def _read(results: Path | None) -> dict[str, Errors]:
     """Return the errors of the runs that a file holds."""
-    if results is None or not results.exists():
-        return {}
-    records = map(json.loads, results.read_text().splitlines())
-    return {record["run"]: record["errors"] for record in records}
+    return {record["run"]: record["errors"] for record in read_records(results)}
 
 
 def _errors(cell: Cell, seed: int) -> Errors:
