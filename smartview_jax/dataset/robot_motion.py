@@ -293,9 +293,7 @@ def determine_transforms(
     mount_from_holder: Float[np.ndarray, "groups views 4 4"],
 ) -> Bool[np.ndarray, "groups"]:
     """Return which of several groups of views have no `undetermined_twists`."""
-    effects = host_adjoints(mount_from_holder)
-    groups, views = effects.shape[:2]
-    rows = (effects - effects.mean(axis=1, keepdims=True)).reshape(groups, -1, 6) / np.sqrt(views)
+    rows = _differences(host_adjoints(mount_from_holder))
     return np.linalg.svd(rows, compute_uv=False)[:, -1] >= MIN_TURN
 
 
@@ -308,14 +306,20 @@ def undetermined_motions(
         effects: for each camera and each view, the matrix that maps the motions of all poses, six
             numbers each, to the twist of the camera's mount that has the same effect.
     """
-    rows = [
-        (of_views - of_views.mean(axis=0)).reshape(-1, of_views.shape[2]) / np.sqrt(len(of_views))
-        for of_views in effects
-    ]
+    rows = [_differences(of_views) for of_views in effects]
     # As many rows as columns, so that what no view mentions has a singular value too.
     rows.append(np.zeros((rows[0].shape[1],) * 2))
     _, changes, motions = np.linalg.svd(np.concatenate(rows), full_matrices=False)
     return motions[changes < MIN_TURN]
+
+
+def _differences(
+    effects: Float[np.ndarray, "*groups views 6 numbers"],
+) -> Float[np.ndarray, "*groups rows numbers"]:
+    """Return how the effects of motions differ from their mean over the views: RMS in each row."""
+    *groups, views, _, numbers = effects.shape
+    centred = effects - effects.mean(axis=-3, keepdims=True)
+    return centred.reshape(*groups, 6 * views, numbers) / np.sqrt(views)
 
 
 def given_places(

@@ -185,12 +185,15 @@ def inverse_of_covariance(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndar
     return np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
 
 
-def covariance_factor(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+def covariance_factor(
+    covariance: Float[np.ndarray, "*batch n n"],
+) -> Float[np.ndarray, "*batch n n"]:
     """Return a matrix R with R R^T equal to a covariance, which may be singular."""
     # Not a Cholesky factor, because averaged models can have a covariance without full rank. From
     # correlations, because metres, radians and pixels differ by many orders of magnitude. Rounding
     # may make the smallest eigenvalues slightly negative.
-    scale = np.sqrt(np.diagonal(covariance).clip(0.0))
+    scale = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1).clip(0.0))
     safe = np.where(scale > 0.0, scale, 1.0)
-    eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
-    return scale[:, None] * vectors * np.sqrt(eigenvalues.clip(0.0))
+    correlations = covariance / (safe[..., :, None] * safe[..., None, :])
+    eigenvalues, vectors = np.linalg.eigh(correlations)
+    return scale[..., :, None] * vectors * np.sqrt(eigenvalues.clip(0.0))[..., None, :]

@@ -5,7 +5,12 @@ from jaxtyping import Float
 
 from ..engine import ROBOT_ERROR
 from ..geometry import host_matrices
-from ..robot_errors import CombinedField, QuadraticInPosition, SmoothInPose
+from ..robot_errors import (
+    CombinedField,
+    QuadraticInPosition,
+    SmoothInPose,
+    squares_and_products,
+)
 from ..variance import MIN_SHAPE_SIGMAS
 from .joint_fit import JointFit
 
@@ -15,16 +20,16 @@ of an arm of unknown geometry is named, if it is significant."""
 
 
 def bending_warnings(fit: JointFit) -> list[str]:
-    """Return sentences on joints that yield to the arm's weight, or on curved errors of its poses.
+    """Return sentences on joints that bend under the arm's weight, or on curved errors of poses.
 
     Both are corrected where the calibration is used with its correction.
     """
     if fit.noise_estimate is None or fit.calibration.robot_error is None:
         return []
-    return _yielding_joints(fit) + _curved_errors(fit)
+    return _bending_joints(fit) + _curved_errors(fit)
 
 
-def _yielding_joints(fit: JointFit) -> list[str]:
+def _bending_joints(fit: JointFit) -> list[str]:
     """Return a sentence on the joints whose compliance is significant."""
     compliances = _coefficients(fit, "joint_compliance")
     stds = {name: fit.std[f"{ROBOT_ERROR}.{name}"] for name in compliances}
@@ -89,8 +94,7 @@ def _curvature(fit: JointFit) -> Float[np.ndarray, "views 3 coefficients"]:
     assert isinstance(smooth, QuadraticInPosition | SmoothInPose)
     poses = host_matrices(fit.problem.observations.base_from_tool)[fit.used_views]
     offset = (poses[:, :3, 3] - np.asarray(smooth.centre)) / float(smooth.reach)
-    pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
-    products = np.stack([offset[:, i] * offset[:, k] for i, k in pairs], axis=1)
+    products = np.asarray(squares_and_products(offset))
     linear = np.column_stack([np.ones(len(offset)), offset])
     rest = products - linear @ np.linalg.lstsq(linear, products, rcond=None)[0]
     # A coefficient is of one product, along one axis of the base.

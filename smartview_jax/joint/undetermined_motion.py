@@ -52,7 +52,7 @@ class UndeterminedMotion(NamedTuple):
         These are all of them if they do not suffice.
 
         Args:
-            candidates: names of the parameters; others than those of the transforms pin nothing.
+            candidates: names of the parameters; only parameters of the transforms pin directions.
         """
         columns = [k for k, name in enumerate(self.names) if name in candidates]
         pivots = _pivots(self.directions, columns)

@@ -15,6 +15,7 @@ from .linear_fields import LinearInPose as LinearInPose
 from .linear_fields import LinearInPosition as LinearInPosition
 from .linear_fields import QuadraticInPosition as QuadraticInPosition
 from .linear_fields import SmoothInPose as SmoothInPose
+from .linear_fields import squares_and_products as squares_and_products
 from .robot_error import RobotError as RobotError
 from .robot_prior import RobotPrior as RobotPrior
 from .scale_error import LinearInPoseWithScales as LinearInPoseWithScales

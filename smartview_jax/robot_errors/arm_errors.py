@@ -55,7 +55,7 @@ class AbstractArmErrors(AbstractField):
     def joint_deflections(
         self, joints: Float[Array, "*views joints"], coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "*views joints"]:
-        """Return by how much each joint yields to the load of the arm at some readings."""
+        """Return by how much each joint bends under the load of the arm at some readings."""
         del coefficients
         return jnp.zeros_like(joints)
 
@@ -226,9 +226,9 @@ class DHErrors(AbstractArmErrors):
 
 
 class ElasticDHErrors(AbstractArmErrors):
-    """A robot error field of `DHErrors` and of joints that yield to the weight of the arm.
+    """A robot error field of `DHErrors` and of joints that bend under the arm's weight.
 
-    A coefficient of the compliance is the angle, rad, by which a joint yields to a torque of one
+    A coefficient of the compliance is the angle, rad, by which a joint bends under a torque of one
     (`robots.gravity_loads`): about the largest that the arm's own weight exerts at its base. It is
     positive where the joint gives way to gravity.
     """

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from ..geometry import host_matrices
 from ..robots import Command
+from ..runtime.array_namespace import AnyArray, array_namespace
 from ..runtime.compilation import one_program
 from .field import AbstractField, AbstractLinearField
 
@@ -150,7 +151,8 @@ class QuadraticInPosition(AbstractLinearField):
     @one_program
     def basis(self, base_from_tool: SE3) -> Float[Array, "*views 6 54"]:
         offset = _deviation_from_mean(self.centre, base_from_tool.translation()) / self.reach
-        column_blocks = [_twist_basis(base_from_tool, f) for f in (offset, _products(offset))]
+        functions = (offset, squares_and_products(offset))
+        column_blocks = [_twist_basis(base_from_tool, f) for f in functions]
         return jnp.concatenate(column_blocks, axis=-1)
 
 
@@ -200,7 +202,7 @@ class SmoothInPose(AbstractLinearField):
     @one_program
     def basis(self, base_from_tool: SE3) -> Float[Array, "*views 6 90"]:
         offset = _deviation_from_mean(self.centre, base_from_tool.translation()) / self.reach
-        squares = _twist_basis(base_from_tool, _products(offset))
+        squares = _twist_basis(base_from_tool, squares_and_products(offset))
         return jnp.concatenate([self._linear.basis(base_from_tool), squares], axis=-1)
 
 
@@ -234,10 +236,11 @@ def _deviation_from_mean(
     return values - jnp.broadcast_to(mean, values.shape)
 
 
-def _products(offset: Float[Array, "*views 3"]) -> Float[Array, "*views 6"]:
+def squares_and_products(offset: Float[AnyArray, "*views 3"]) -> Float[AnyArray, "*views 6"]:
     """Return the squares of the coordinates of a vector, and the products of two of them."""
-    x, y, z = jnp.moveaxis(offset, -1, 0)
-    return jnp.stack([x * x, y * y, z * z, x * y, x * z, y * z], axis=-1)
+    xp = array_namespace(offset)
+    x, y, z = xp.moveaxis(offset, -1, 0)
+    return xp.stack([x * x, y * y, z * z, x * y, x * z, y * z], axis=-1)
 
 
 def _tool_x_and_z(base_from_tool: SE3) -> Float[Array, "*views 6"]:
@@ -247,7 +250,7 @@ def _tool_x_and_z(base_from_tool: SE3) -> Float[Array, "*views 6"]:
 
 
 def _twist_basis(
-    base_from_tool: SE3, regressors: Float[Array, "*views functions"]
+    base_from_tool: SE3, regressors: Float[AnyArray, "*views functions"]
 ) -> Float[Array, "*views 6 coefficients"]:
     """Return a basis of translations and rotations, in base axes, for each function of a pose."""
     # With the regressors f, functions of the pose, the rotation R of base_from_tool, and

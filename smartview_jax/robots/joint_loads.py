@@ -25,7 +25,7 @@ def gravity_loads(
     ends = jnp.concatenate([origins[..., 1:, screw, :], tool.translation()[..., None, :]], axis=-2)
     # With the axis z through the point p, and a mass at c that gravity pulls along -e,
     #     torque = z . ((c - p) x -e) = (z x e) . (c - p).
-    # The masses beyond the joint add up, of which there are n - j from joint j on.
+    # The torques of the masses beyond the joint add up; from joint j on there are n - j masses.
     beyond = jnp.cumsum(ends[..., ::-1, :], axis=-2)[..., ::-1, :]
     count = jnp.arange(arm.joint_count, 0, -1, dtype=float)[:, None]
     lever = beyond - jnp.broadcast_to(count, beyond.shape) * origins[..., screw, :]

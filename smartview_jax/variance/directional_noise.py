@@ -24,7 +24,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..engine import PoseDirections, twist_rotations
+from ..engine import Noise, PoseDirections, twist_rotations
 from ..runtime.modules import with_fields
 from .likelihood import (
     ROBOT_SIGMA_FLOOR,
@@ -180,6 +180,19 @@ class DirectionalNoise(NamedTuple):
             },
             slopes=grown[None] @ self.slopes @ transposed[None],
         )
+
+
+def largest_noise(noise: Noise, directions: DirectionalNoise | None) -> Noise:
+    """Return a noise with the sizes of the poses' errors in the directions in which they are most.
+
+    Args:
+        noise: with mean sizes over the axes.
+        directions: of the errors; None if they are alike in all.
+    """
+    if directions is None:
+        return noise
+    translation, rotation = map(float, directions.worst)
+    return dataclasses.replace(noise, translation=translation, rotation=rotation, directions=None)
 
 
 EQUAL = "equal"

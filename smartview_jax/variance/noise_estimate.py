@@ -10,7 +10,7 @@ from jaxtyping import Float
 from ..calibration import SHAPE_NAMES, Calibration, TargetShape
 from ..engine import TARGET_SCALE, Noise, Prior
 from ..robot_errors import AbstractField, RobotPrior
-from .directional_noise import DirectionalNoise
+from .directional_noise import DirectionalNoise, largest_noise
 from .kenward_roger import SmallSampleCorrection
 from .lens_terms import LensEvidence
 from .model_selection import ModelName
@@ -164,10 +164,8 @@ class NoiseEstimate(NamedTuple):
 
         They are for the directions in which these err most.
         """
-        if self.directions is None:
-            return float(self.noise.translation), float(self.noise.rotation)
-        translation, rotation = self.directions.worst
-        return float(translation), float(rotation)
+        noise = largest_noise(self.noise, self.directions)
+        return float(noise.translation), float(noise.rotation)
 
     @property
     def free(self) -> tuple[str, ...]:

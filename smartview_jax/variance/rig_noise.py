@@ -24,7 +24,7 @@ from ..robot_errors import AbstractField, FieldChoice, RobotPrior
 from ..runtime.blas_threads import on_one_blas_thread
 from .averaged_fit import SecondPass, average_over_models, averaged_noise
 from .directional_fit import fit_by_direction
-from .directional_noise import DirectionalNoise
+from .directional_noise import DirectionalNoise, largest_noise
 from .fisher_scoring import StandardDeviationPrior
 from .free_poses import choice_for_free_poses, fit_free_poses
 from .kenward_roger import SmallSampleCorrection
@@ -100,12 +100,7 @@ class RigNoiseEstimate(NamedTuple):
     @property
     def largest_noise(self) -> Noise:
         """The noise, with the sizes of the poses' errors in the directions of the largest."""
-        if self.directions is None:
-            return self.noise
-        translation, rotation = map(float, self.directions.worst)
-        return dataclasses.replace(
-            self.noise, translation=translation, rotation=rotation, directions=None
-        )
+        return largest_noise(self.noise, self.directions)
 
 
 def estimate_rig_noise(

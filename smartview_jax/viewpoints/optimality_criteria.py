@@ -18,7 +18,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Float
 
 from ..dataset import Rig
-from ..engine import RANK_TOLERANCE
+from ..engine import RANK_TOLERANCE, covariance_factor
 from ..robots import CommandLike
 from ..runtime.array_namespace import AnyArray, to_device
 from ..runtime.compilation import one_program
@@ -44,13 +44,7 @@ class OptimalityCriterion(eqx.Module):
         cls, weight_matrix: Float[AnyArray, "free free"], unit: str
     ) -> "OptimalityCriterion":
         """Return the criterion of a positive semidefinite matrix M, whose root is computed."""
-        matrix = np.asarray(weight_matrix)
-        # Scaled to unit diagonal, or the roots of small numbers would have few digits.
-        scales = np.sqrt(np.diagonal(matrix))
-        scales[scales == 0.0] = 1.0
-        values, vectors = np.linalg.eigh(matrix / np.outer(scales, scales))
-        root = scales[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-        return cls(to_device(root), unit)
+        return cls(to_device(covariance_factor(np.asarray(weight_matrix))), unit)
 
     @property
     def weight_matrix(self) -> Float[np.ndarray, "free free"] | None:

@@ -144,8 +144,7 @@ def expected_squared_errors(fit: JointFit | SavedEstimate, data: Dataset) -> Exp
 def _pose_noise_roots(noise: Noise, data: Dataset) -> Float[np.ndarray, "views 6 6"]:
     """Return the noise of each reported pose, a twist at the tool, by six unit normal numbers."""
     tool_from_base = host_matrices(data.base_from_tool)[:, :3, :3].swapaxes(1, 2)
-    covariances = noise.pose_covariances(tool_from_base)
-    return np.stack([covariance_factor(covariance) for covariance in covariances])
+    return covariance_factor(noise.pose_covariances(tool_from_base))
 
 
 class _PixelFunction(eqx.Module):
