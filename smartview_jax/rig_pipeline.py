@@ -21,6 +21,7 @@ from .data_checks import (
 )
 from .dataset import Dataset, Rig, arms_of, digests_to_keep, is_pair
 from .engine import with_lens
+from .fit_result import Rejection
 from .geometry import PoseLike, host_matrices, host_transforms, mean_pose
 from .joint import JointOptions, RigFit, fit_rig, remove_gross_errors
 from .runtime.double_precision import require_double_precision
@@ -127,26 +128,17 @@ def calibrate_rig(
     findings = shared_target_findings(rig, staged)
     if findings.problems:
         raise ValueError("; ".join(findings.problems))
-    used, rejected = {}, []
-    for name, data in rig.cameras.items():
-        inliers = data.with_visible(np.asarray(data.visible) & np.asarray(staged[name].inliers))
-        used[name], outliers = remove_gross_errors(inliers, starts[name])
-        rejected += [(name, entry) for entry in (*staged[name].rejected, *outliers)]
-    staged = {name: staged[name] for name in rig.cameras}
+    used, rejected = _without_gross_errors(rig, staged, starts)
     fixed = (*joint_options.get("fixed", ()), *(f"{name}.camera" for name in known))
     fit = fit_rig(
-        rig.with_cameras(used),
+        used,
         starts,
         progress=progress,
         rejected=rejected,
         **{**joint_options, "fixed": fixed},
     )
     # A wrong camera makes the places of a target differ as well, so it is named before them.
-    of_cameras = [
-        f"{name}: {text}"
-        for name, fit_of_camera in staged.items()
-        for text in fit_of_camera.warnings
-    ]
+    of_cameras = [f"{name}: {text}" for name in rig.cameras for text in staged[name].warnings]
     return dataclasses.replace(
         fit,
         data=rig,
@@ -154,6 +146,20 @@ def calibrate_rig(
         # Of the pictures with all their points, also those that were left out.
         picture_digests={name: digests_to_keep(data) for name, data in rig.cameras.items()},
     )
+
+
+def _without_gross_errors(
+    rig: Rig,
+    staged: Mapping[str, StagedFit | FewViewsStart],
+    starts: Mapping[str, Calibration],
+) -> tuple[Rig, list[tuple[str, Rejection]]]:
+    """Return the rig without gross errors, and what the cameras' own fits and this left out."""
+    used, rejected = {}, []
+    for name, data in rig.cameras.items():
+        inliers = data.with_visible(np.asarray(data.visible) & np.asarray(staged[name].inliers))
+        used[name], outliers = remove_gross_errors(inliers, starts[name])
+        rejected += [(name, entry) for entry in (*staged[name].rejected, *outliers)]
+    return rig.with_cameras(used), rejected
 
 
 def shared_target_findings(

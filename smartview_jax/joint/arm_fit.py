@@ -106,11 +106,11 @@ def fit_arm(
         """Fit the rig as it is, with a known estimate of the noise if there is one."""
         bases = bases_of_pair(rig, starts)
         motion = undetermined_motion_of_rig(rig, starts, choice, bases, options.held_first)
-        if estimate is None:
-            holding = options._replace(choice=choice.holding(*motion.held), robot_prior=prior)
-            built, start, estimate = _built(rig, starts, holding, progress)
-        else:
-            built, start = estimate.built, estimate.step
+        if estimate is not None:
+            solved = solve_rig_on(options.devices, estimate.built.problem, estimate.step)
+            return SolvedArm(rig, estimate.built, estimate, *solved, motion)
+        holding = options._replace(choice=choice.holding(*motion.held), robot_prior=prior)
+        built, start, estimate = _built(rig, starts, holding, progress)
         if progress is not None:
             count = sum(int(np.asarray(data.visible).sum()) for data in rig.cameras.values())
             shared = len(built.shared_names)

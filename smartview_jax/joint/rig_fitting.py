@@ -2,12 +2,12 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar, Unpack
+from typing import Any, NamedTuple, TypeVar, Unpack
 
 import jax
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 
 from ..argument_checks import listed, require_instance
 from ..calibration import Calibration
@@ -41,7 +41,6 @@ from ..runtime.array_namespace import to_device
 from ..staged import with_region
 from ..variance import SmallSampleCorrection
 from .arm_fit import ArmOptions, SolvedArm, bases_of_pair, fit_arm
-from .fit import MAX_INLIER_CHI_SQUARE, solver_result
 from .fitted_depth_sensor import fitted_depth_sensor
 from .held_parameters import held_camera_test
 from .open_directions import OpenDirections
@@ -51,6 +50,7 @@ from .several_arms import JoinedArms, added_by_estimation, join_arms
 from .told_by_others import with_told_by_others
 from .undetermined_motion import UndeterminedMotion
 from .undetermined_rig import undetermined_motion_of_rig
+from .view_fit import MAX_INLIER_CHI_SQUARE, solver_result
 from .view_rejection import is_plausible
 
 _Option = TypeVar("_Option")
@@ -196,26 +196,17 @@ def _assembled(
         std = np.sqrt(std**2 + np.diagonal(added))
     of_states = per_view_std(reduced, common, 1.0, built.problem.host_correction_roots)
     of_states = of_states[np.asarray(built.problem.per_view_free)]
-    calibrations, residuals, inliers, pixel_sigmas, sensors = {}, {}, {}, {}, {}
+    cameras: dict[str, _CameraFit] = {}
     chains = (solution.chain,) if joined is None else solution.chain
     for arm, of_cameras in zip(arms.values(), chains, strict=True):
-        sigma = float(arm.built.problem.pixel_sigma)
-        estimate = arm.estimate
-        relative = {} if estimate is None else estimate.relative_sigmas
-        for name, chain in _chains(arm.built, of_cameras).items():
-            data, calibration = arm.rig.cameras[name], chain.calibration
-            if estimate is not None and (error := calibration.robot_error) is not None:
-                fitted = None if estimate.field is None else error.converted_to(estimate.field)
-                calibration = dataclasses.replace(calibration, robot_error=fitted)
-            by_point = _residuals_at(chain, data)
-            pixel_sigmas[name] = sigma * relative.get(name, 1.0)
-            gate = MAX_INLIER_CHI_SQUARE * pixel_sigmas[name] ** 2
-            inliers[name] = np.asarray(data.visible) & (np.sum(by_point**2, axis=-1) <= gate)
-            residuals[name] = to_device(chain_residuals(calibration, data.observations))
-            calibrations[name] = with_region(calibration, data)
-            sensor = fitted_depth_sensor(data, calibration, built.shared_names, common, f"{name}.")
-            if sensor is not None:
-                sensors[name] = sensor
+        cameras |= _camera_fits(arm, of_cameras)
+    calibrations = {name: camera.calibration for name, camera in cameras.items()}
+    sensors = {
+        name: fitted_depth_sensor(
+            camera.data, camera.calibration, built.shared_names, common, f"{name}."
+        )
+        for name, camera in cameras.items()
+    }
     left_out = [entry for arm in arms.values() for entry in arm.rejected]
     bases = bases_of_pair(rig, calibrations) if joined is None else joined.bases
     motion = _undetermined_motion(rig, arms, calibrations, choice, bases)
@@ -233,12 +224,12 @@ def _assembled(
             name: arm.built.noise if arm.estimate is None else arm.estimate.noise
             for name, arm in arms.items()
         },
-        pixel_sigmas=pixel_sigmas,
+        pixel_sigmas={name: camera.pixel_sigma for name, camera in cameras.items()},
         noise_estimates={
             name: arm.estimate for name, arm in arms.items() if arm.estimate is not None
         },
-        residuals=residuals,
-        inliers=inliers,
+        residuals={name: camera.residuals for name, camera in cameras.items()},
+        inliers={name: camera.inliers for name, camera in cameras.items()},
         pose_corrections=built.problem.host_corrections(np.asarray(solution.z.per_view)),
         view_ids=rig.view_ids,
         rejected=(*rejected, *left_out),
@@ -250,12 +241,52 @@ def _assembled(
         arms={camera: name for name, arm in arms.items() for camera in arm.rig.cameras},
         data=rig,
         small_sample_correction=correction,
-        sensors=sensors,
+        sensors={name: sensor for name, sensor in sensors.items() if sensor is not None},
         undetermined=(
             OpenDirections.of_motion(motion),
             OpenDirections.of_jacobian(built.shared_names, jacobian),
         ),
     )
+
+
+class _CameraFit(NamedTuple):
+    """The fit of one camera of a rig.
+
+    Attributes:
+        data: its data set, without the views that were left out.
+        calibration: its calibration.
+        pixel_sigma: standard deviation of its pixels.
+        residuals: measured minus predicted pixels by the calibration alone.
+        inliers: mask of the points that agree with the fit.
+    """
+
+    data: Dataset
+    calibration: Calibration
+    pixel_sigma: float
+    residuals: Float[Array, "views points 2"]
+    inliers: Bool[np.ndarray, "views points"]
+
+
+def _camera_fits(arm: SolvedArm, of_cameras: tuple[FittedChain, ...]) -> dict[str, _CameraFit]:
+    """Return the fit of each camera of an arm, from their chains at the solution."""
+    estimate, fits = arm.estimate, {}
+    sigma = float(arm.built.problem.pixel_sigma)
+    relative = {} if estimate is None else estimate.relative_sigmas
+    for name, chain in _chains(arm.built, of_cameras).items():
+        data, calibration = arm.rig.cameras[name], chain.calibration
+        if estimate is not None and (error := calibration.robot_error) is not None:
+            fitted = None if estimate.field is None else error.converted_to(estimate.field)
+            calibration = dataclasses.replace(calibration, robot_error=fitted)
+        pixel_sigma = sigma * relative.get(name, 1.0)
+        squares = np.sum(_residuals_at(chain, data) ** 2, axis=-1)
+        fits[name] = _CameraFit(
+            data,
+            with_region(calibration, data),
+            pixel_sigma,
+            to_device(chain_residuals(calibration, data.observations)),
+            np.asarray(data.visible) & (squares <= MAX_INLIER_CHI_SQUARE * pixel_sigma**2),
+        )
+    return fits
 
 
 def _undetermined_motion(
