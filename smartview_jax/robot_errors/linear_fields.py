@@ -1,5 +1,7 @@
 """Define robot error fields for any robot: twists that are smooth functions of the tool's pose."""
 
+from typing import Self
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,10 +28,8 @@ _SQUARE_GROUPS = (("translation_by_square", 18), ("rotation_by_square", 18))
 """Groups of the coefficients of the squares and products of the coordinates of the position."""
 
 
-class LinearInPosition(AbstractLinearField):
-    """A robot error field that is linear in the tool's position, with 18 coefficients.
-
-    Both the translation and the rotation of the error are linear.
+class _InPosition(AbstractLinearField):
+    """A field of functions of the tool's position.
 
     Attributes:
         centre: position of the tool where the field is zero, m.
@@ -40,13 +40,9 @@ class LinearInPosition(AbstractLinearField):
     reach: Float[Array, ""]
 
     @classmethod
-    def from_poses(cls, base_from_tool: SE3) -> "LinearInPosition":
+    def from_poses(cls, base_from_tool: SE3) -> Self:
         """Return the field centred on poses `(views)` and scaled by their standard deviation."""
         return cls(*centre_and_reach(base_from_tool))
-
-    @property
-    def groups(self) -> tuple[tuple[str, int], ...]:
-        return (("translation_by_position", 9), ("rotation_by_position", 9))
 
     @property
     def reference_length(self) -> float:
@@ -55,16 +51,9 @@ class LinearInPosition(AbstractLinearField):
     def normalised_distance(self, reported: Command) -> Float[Array, "*views"]:
         return max_normalised_offset(self.centre, self.reach, reported)
 
-    @one_program
-    def basis(self, base_from_tool: SE3) -> Float[Array, "*views 6 18"]:
-        offset = _deviation_from_mean(self.centre, base_from_tool.translation()) / self.reach
-        return _twist_basis(base_from_tool, offset)
 
-
-class LinearInPose(AbstractLinearField):
-    """A robot error field that is linear in the tool's position and orientation.
-
-    Both the translation and the rotation of the error are linear; there are 54 coefficients.
+class _InPose(_InPosition):
+    """A field of functions of the tool's position and orientation.
 
     Attributes:
         centre: position of the tool where the field is zero, m.
@@ -72,15 +61,36 @@ class LinearInPose(AbstractLinearField):
         axes: mean first and third column of the tool's rotation, at which the field is zero.
     """
 
-    centre: Float[Array, "3"]
-    reach: Float[Array, ""]
     axes: Float[Array, "6"]
 
     @classmethod
-    def from_poses(cls, base_from_tool: SE3) -> "LinearInPose":
+    def from_poses(cls, base_from_tool: SE3) -> Self:
         """Return the field centred on poses `(views)` and scaled by their standard deviation."""
         mean = np.mean(host_matrices(base_from_tool)[:, :3, [0, 2]], axis=0)
         return cls(*centre_and_reach(base_from_tool), jax.device_put(mean.T.ravel()))
+
+
+class LinearInPosition(_InPosition):
+    """A robot error field that is linear in the tool's position, with 18 coefficients.
+
+    Both the translation and the rotation of the error are linear.
+    """
+
+    @property
+    def groups(self) -> tuple[tuple[str, int], ...]:
+        return (("translation_by_position", 9), ("rotation_by_position", 9))
+
+    @one_program
+    def basis(self, base_from_tool: SE3) -> Float[Array, "*views 6 18"]:
+        offset = _deviation_from_mean(self.centre, base_from_tool.translation()) / self.reach
+        return _twist_basis(base_from_tool, offset)
+
+
+class LinearInPose(_InPose):
+    """A robot error field that is linear in the tool's position and orientation.
+
+    Both the translation and the rotation of the error are linear; there are 54 coefficients.
+    """
 
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
@@ -90,13 +100,6 @@ class LinearInPose(AbstractLinearField):
             ("translation_by_orientation", 18),
             ("rotation_by_orientation", 18),
         )
-
-    @property
-    def reference_length(self) -> float:
-        return float(self.reach)
-
-    def normalised_distance(self, reported: Command) -> Float[Array, "*views"]:
-        return max_normalised_offset(self.centre, self.reach, reported)
 
     @property
     def nested_fields(self) -> tuple[AbstractField, ...]:
@@ -114,35 +117,16 @@ class LinearInPose(AbstractLinearField):
         return jnp.concatenate(column_blocks, axis=-1)
 
 
-class QuadraticInPosition(AbstractLinearField):
+class QuadraticInPosition(_InPosition):
     """A robot error field that is quadratic in the tool's position, with 54 coefficients.
 
     Arms whose joints or links bend under gravity have such errors: the load on a joint depends on
     how far the arm reaches. Both the translation and the rotation of the error are quadratic.
-
-    Attributes:
-        centre: position of the tool where the field is zero, m.
-        reach: distance from the centre that counts as one unit, m.
     """
-
-    centre: Float[Array, "3"]
-    reach: Float[Array, ""]
-
-    @classmethod
-    def from_poses(cls, base_from_tool: SE3) -> "QuadraticInPosition":
-        """Return the field centred on poses `(views)` and scaled by their standard deviation."""
-        return cls(*centre_and_reach(base_from_tool))
 
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
         return (*LinearInPosition(self.centre, self.reach).groups, *_SQUARE_GROUPS)
-
-    @property
-    def reference_length(self) -> float:
-        return float(self.reach)
-
-    def normalised_distance(self, reported: Command) -> Float[Array, "*views"]:
-        return max_normalised_offset(self.centre, self.reach, reported)
 
     @property
     def nested_fields(self) -> tuple[AbstractField, ...]:
@@ -156,27 +140,12 @@ class QuadraticInPosition(AbstractLinearField):
         return jnp.concatenate(column_blocks, axis=-1)
 
 
-class SmoothInPose(AbstractLinearField):
+class SmoothInPose(_InPose):
     """A robot error field that is quadratic in the tool's position and linear in its orientation.
 
     Both the translation and the rotation of the error are; there are 90 coefficients. It contains
     `LinearInPosition`, `LinearInPose` and `QuadraticInPosition`.
-
-    Attributes:
-        centre: position of the tool where the field is zero, m.
-        reach: distance from the centre that counts as one unit, m.
-        axes: mean first and third column of the tool's rotation, at which the field is zero.
     """
-
-    centre: Float[Array, "3"]
-    reach: Float[Array, ""]
-    axes: Float[Array, "6"]
-
-    @classmethod
-    def from_poses(cls, base_from_tool: SE3) -> "SmoothInPose":
-        """Return the field centred on poses `(views)` and scaled by their standard deviation."""
-        linear = LinearInPose.from_poses(base_from_tool)
-        return cls(linear.centre, linear.reach, linear.axes)
 
     @property
     def _linear(self) -> LinearInPose:
@@ -186,13 +155,6 @@ class SmoothInPose(AbstractLinearField):
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
         return (*self._linear.groups, *_SQUARE_GROUPS)
-
-    @property
-    def reference_length(self) -> float:
-        return float(self.reach)
-
-    def normalised_distance(self, reported: Command) -> Float[Array, "*views"]:
-        return max_normalised_offset(self.centre, self.reach, reported)
 
     @property
     def nested_fields(self) -> tuple[AbstractField, ...]:
