@@ -83,7 +83,7 @@ def find_moved_cameras(rig: Rig, seen: Mapping[str, SeenTarget]) -> tuple[MovedC
     unchanged: list[_Pair] = []
     for pair in pairs_with_one_target(rig, seen):
         # Of the lenses, only that of the second camera is asked whether it zoomed.
-        both = [_change(rig, order, seen) for order in (pair[::-1], pair)]
+        both = [_change(rig, order, seen) for order in ((pair[1], pair[0]), pair)]
         if found := [change for change in both if change is not None]:
             changed[pair] = found
         elif len(states_in_common(rig, *pair, seen)[0]) >= MIN_COMMON_STATES:
@@ -102,10 +102,11 @@ def find_moved_cameras(rig: Rig, seen: Mapping[str, SeenTarget]) -> tuple[MovedC
 
 def _change(rig: Rig, pair: _Pair, seen: Mapping[str, SeenTarget]) -> MovedCamera | None:
     """Return the change of the second camera's poses against the first one's; None without one."""
-    states, *poses = states_in_common(rig, *pair, seen)
+    states, in_first, in_second = states_in_common(rig, *pair, seen)
     # In the order of the first camera's views; the rig lists last what its own first did not see.
     order = np.argsort([list(rig.state_index[pair[0]]).index(state) for state in states])
-    report = find_change(*(as_se3(part[order]) for part in poses), np.ones(len(order), dtype=bool))
+    used = np.ones(len(order), dtype=bool)
+    report = find_change(as_se3(in_first[order]), as_se3(in_second[order]), used)
     if report is None or report.changes[0].score > MAX_LEFT_OVER * report.score:
         return None
     view = rig.view_ids[states[order][report.changes[0].first_view]]
