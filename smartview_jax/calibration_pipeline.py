@@ -17,7 +17,15 @@ from .argument_checks import require_instance, require_one_of
 from .calibration import Calibration, transform_names
 from .cameras import AbstractLens, Camera
 from .data_checks import views_to_use
-from .dataset import Dataset, PoseDataset, Rig, chain_residuals, given_places, repetition_warnings
+from .dataset import (
+    Dataset,
+    PoseDataset,
+    Rig,
+    chain_residuals,
+    given_places,
+    repetition_warnings,
+    require_picture_size,
+)
 from .engine import ROBOT_ERROR, Noise, Prior, parameter_names
 from .fit_result import Rejection
 from .geometry import PoseLike, host_poses
@@ -43,7 +51,6 @@ from .staged import (
     fit_staged,
     kalman_filter,
     merged_start,
-    require_picture_size,
     with_start_doubts,
 )
 

@@ -362,7 +362,7 @@ def _agreement(
     try:
         # As in `calibrate`, so that data are refused for the same reasons.
         if camera is not None:
-            sv.staged.require_picture_size("--camera", camera, data.image_size)
+            sv.dataset.require_picture_size("--camera", camera, data.image_size)
         lens = "opencv4" if camera is None else camera.lens
         fit = sv.fit_staged(data, lens, camera=camera, conventions="report")
     except ValueError as error:

@@ -9,6 +9,7 @@ import typer
 
 import smartview_jax as sv
 
+from ..argument_checks import errors_at
 from ..files import read_yaml, refuse_unwritable
 from . import options
 from .documents import errors_document, print_document, views_left_out
@@ -142,6 +143,8 @@ class Prediction:
     ) -> "Prediction":
         """Return the prediction of a data set, whose target may have been moved."""
         (calibration, estimate), expected = loaded, None
+        with errors_at(path):
+            sv.dataset.require_same_set_up("the calibration", calibration, data)
         if moved:
             # The target's pose is refitted to the pictures, all else held.
             held = ("camera", calibration.transform_names[0])

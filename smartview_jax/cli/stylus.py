@@ -19,13 +19,6 @@ from .robot_commands import CommandSheet, RobotOptions, numbered_names
 from .terminal import errors_reported, print_lines
 from .viewpoint import LookOptions, requested_camera_poses
 
-SURPRISING_P_VALUE = 0.01
-"""P-value below which misses are reported as larger than the calibration predicts."""
-
-LIKELY_CAUSES = (
-    "the tip's position in the tool frame, the target's size, or a target that was moved"
-)
-
 
 @dataclass(frozen=True)
 class TouchOptions:
@@ -140,9 +133,15 @@ def stylus(
             near=readings,
         )
         names = numbered_names(len(poses))
-        factor = sv.grasping.tip_error_factor(touches, tip_position)
         notes: list[str] = []
         measured = missed.misses and sv.io.read_misses(missed.misses, names, notes.append)
+        factor = (
+            sv.grasping.tip_error_factor(touches, tip_position)
+            if measured is None
+            else sv.grasping.measured_error_factor(
+                touches, tip_position, 1e-3 * missed.measurement_std, 1e-3 * missed.tip_std
+            )
+        )
         sheet = CommandSheet(
             robot, loaded_calibration, names, touches.commands, arm, sv.grasping.TOOL_CHECKS
         )
@@ -196,11 +195,11 @@ def _write_corrected(
         ValueError: the misses are larger than the calibration predicts.
     """
     assert options.corrected is not None
-    if judged["comparison"]["p_value"] < SURPRISING_P_VALUE:
+    if judged["likely_causes"] is not None:
         raise ValueError(
             "the misses are larger than the calibration predicts (p "
             f"{judged['comparison']['p_value']:.2g}), so they do not correct it; find the cause: "
-            f"{LIKELY_CAUSES}"
+            f"{judged['likely_causes']}"
         )
     corrected = sv.correct_by_touches(
         estimate,
@@ -242,7 +241,7 @@ def _judgement(
         if misses is not None:
             entry |= {"miss_m": misses[k], "distance_m": float(np.linalg.norm(misses[k]))}
         touches.append(entry)
-    content: dict[str, Any] = {"touches": touches, "comparison": None}
+    content: dict[str, Any] = {"touches": touches, "comparison": None, "likely_causes": None}
     if misses is not None:
         content["rms_m"] = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
         if factor is not None:
@@ -253,6 +252,8 @@ def _judgement(
             content["comparison"] = entries
             for entry, inside in zip(touches, comparison.inside, strict=True):
                 entry["inside_ellipse"] = bool(inside)
+            if comparison.p_value < sv.grasping.SURPRISING_P_VALUE:
+                content["likely_causes"] = sv.grasping.causes_of_misses(factor, misses, names)
     return content
 
 
@@ -283,7 +284,7 @@ def _print_judgement(judged: dict[str, Any], path: Path) -> None:
         return
     print_lines(f"{len(judged['touches'])} touches miss by {1e3 * judged['rms_m']:.2f} mm RMS")
     if judged["comparison"] is not None:
-        print_lines(_verdict(judged["comparison"]))
+        print_lines(_verdict(judged["comparison"], judged["likely_causes"]))
     if "corrected" in judged:
         print_lines(
             f"{judged['corrected']}: corrected; it predicts "
@@ -301,15 +302,16 @@ def _millimetres(numbers: np.ndarray) -> str:
     return sv.geometry.vector_text(1e3 * numbers, 2)
 
 
-def _verdict(comparison: dict[str, Any]) -> str:
+def _verdict(comparison: dict[str, Any], causes: str | None) -> str:
     """Return in words whether the misses are as large as the calibration predicts."""
     inside, expected = comparison["inside"], 1e3 * comparison["expected_rms_m"]
     # The touches share most of their error, so they are tested together.
-    surprising = comparison["p_value"] < SURPRISING_P_VALUE
-    words = "more than the calibration predicts" if surprising else "as the calibration predicts"
+    words = (
+        "as the calibration predicts" if causes is None else "more than the calibration predicts"
+    )
     return (
         f"predicted: {expected:.2f} mm RMS; {int(inside.sum())} of {len(inside)} are inside their "
         f"ellipse\nall together (chi-square {comparison['chi_square']:.1f}, "
         f"{comparison['degrees_of_freedom']} d.o.f., p {comparison['p_value']:.2g}): {words}"
-        + (f"\n  likely causes: {LIKELY_CAUSES}" if surprising else "")
+        + ("" if causes is None else f"\n  likely causes: {causes}")
     )

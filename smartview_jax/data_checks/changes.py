@@ -203,6 +203,22 @@ def find_change(
     return ChangeReport(changes, misfit, score)
 
 
+def evidence_of_change(mount_from_holder: SE3, camera_from_world: SE3, first_view: int) -> float:
+    """Return the evidence, as in `Change`, that the camera was moved or zoomed before a view.
+
+    Args:
+        mount_from_holder: as in `find_change`; all views are used.
+        camera_from_world: from the pictures alone, `(views)`.
+        first_view: index of the first view after the change.
+    """
+    views = np.arange(camera_from_world.get_batch_axes()[0])
+    motions = motions_from_camera_to_target(mount_from_holder, camera_from_world, views, 1.0)
+    if motions is None:
+        return -np.inf
+    changes = _Search.of(*motions, place_count=1).changes(first_view)
+    return max(change.evidence for change in changes if change.kind != "target")
+
+
 class _Search(NamedTuple):
     """Views in which a change is looked for.
 

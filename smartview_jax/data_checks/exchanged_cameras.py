@@ -18,15 +18,13 @@ from ..geometry import host_logarithms, mean_matrix
 from .closure import Poses
 from .rig_states import (
     MAX_CHANCE,
+    MAX_LEFT_OVER,
     MIN_COMMON_STATES,
     SeenTarget,
     pairs_with_one_target,
     states_in_common,
 )
 from .transform_fit import misfit_text, misfits
-
-MAX_LEFT_OVER = 0.5
-"""Largest share of the misfit that exchanged pictures may leave over, in all and in each state."""
 
 MAX_SEEDS = 20
 """Largest number of states whose relative pose is tried as the one of all states."""

@@ -1,6 +1,7 @@
 """Check that cameras which share a target see it at one place, and with their own pictures.
 
-That pictures were exchanged (`exchanged_cameras.py`) is asked first.
+That pictures were exchanged (`exchanged_cameras.py`) is asked first, then whether a camera was
+moved between two states (`moved_cameras.py`).
 
 In a state that two cameras on one hand saw, or two cameras next to the arm, their relative pose
 follows from their pictures alone, without the robot. It is the same in all states unless the target
@@ -28,17 +29,16 @@ from ..geometry import (
 from .closure import Poses
 from .exchanged_cameras import exchanged_cameras
 from .given_poses import target_turns
+from .moved_cameras import find_moved_cameras
 from .rig_states import (
     MAX_CHANCE,
+    MAX_LEFT_OVER,
     MIN_COMMON_STATES,
     SeenTarget,
     pairs_with_one_target,
     states_in_common,
 )
 from .transform_fit import Matrix, misfit_text, misfits
-
-MAX_LEFT_OVER = 0.5
-"""Largest share of the misfit that an explanation may leave over: it must explain most of it."""
 
 MAX_STEPS = 20
 """Largest number of steps in which a displacement is fitted."""
@@ -70,7 +70,9 @@ def target_findings(rig: Rig, seen: Mapping[str, SeenTarget]) -> TargetFindings:
     exchanged = exchanged_cameras(rig, seen)
     if exchanged:
         return TargetFindings(exchanged, tuple(doubts))
-    problems: list[str] = []
+    moved = find_moved_cameras(rig, seen)
+    problems = [camera.sentence for camera in moved if camera.contradicts]
+    doubts += [camera.sentence for camera in moved if not camera.contradicts]
     for first, second in pairs_with_one_target(rig, seen):
         places = [seen[name].holder_from_world for name in (first, second)]
         roughly = np.linalg.inv(places[0]) @ places[1]

@@ -14,6 +14,9 @@ from .transform_fit import Matrix
 MIN_COMMON_STATES = 6
 """Fewest states in common that tell a displaced target from noise."""
 
+MAX_LEFT_OVER = 0.5
+"""Largest share of the misfit that an explanation may leave over: it must explain most of it."""
+
 MAX_CHANCE = 1e-6
 """Probability by chance below which a displaced target or exchanged pictures are said, as of arms
 that disagree."""

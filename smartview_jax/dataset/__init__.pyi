@@ -45,3 +45,5 @@ from .robot_motion import turns_about_one_axis as turns_about_one_axis
 from .robot_motion import turns_about_one_point as turns_about_one_point
 from .robot_motion import undetermined_motions as undetermined_motions
 from .robot_motion import undetermined_twists as undetermined_twists
+from .same_set_up import require_picture_size as require_picture_size
+from .same_set_up import require_same_set_up as require_same_set_up

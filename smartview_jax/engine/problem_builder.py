@@ -15,7 +15,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration, DepthBias, host_mount_from_holder
 from ..cameras import AbstractLens, Camera, initial_lens
-from ..dataset import TYPICAL_OFFSET_STD, TYPICAL_SCALE_STD, Dataset, chain_residuals
+from ..dataset import (
+    TYPICAL_OFFSET_STD,
+    TYPICAL_SCALE_STD,
+    Dataset,
+    chain_residuals,
+    require_same_set_up,
+)
 from ..geometry import host_transforms
 from ..robot_errors import AbstractField, FieldChoice, RobotError, checked_field_choice
 from ..runtime.array_namespace import to_device, to_device_together
@@ -201,9 +207,8 @@ def build_problem(
 
 
 def _require_same_setup(data: Dataset, start: Calibration) -> None:
-    """Raise a ValueError if a start is of another mount, or number of arms, than the data."""
-    if start.mount != data.mount:
-        raise ValueError(f"mount: the start is {start.mount}, but the data are {data.mount}")
+    """Raise a ValueError if a start is of another set-up or number of arms than the data."""
+    require_same_set_up("the start", start, data)
     if (data.hands is None) != (start.base_from_other_base is None):
         raise ValueError(
             "base_from_other_base: a start has it for the data of two arms, and only for these"

@@ -8,8 +8,9 @@ import jax
 import numpy as np
 from jaxtyping import Bool
 
+from ..argument_checks import errors_at
 from ..calibration import BASES, Calibration, transform_names
-from ..dataset import Rig, arms_of, is_pair
+from ..dataset import Rig, arms_of, is_pair, require_same_set_up
 from ..robot_errors import FieldChoice, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..runtime.padding import padded_counts, repeat_last
@@ -213,16 +214,14 @@ def _with_bases_of(rig: Rig, starts: Mapping[str, Calibration]) -> Rig:
 
 
 def require_starts(rig: Rig, starts: Mapping[str, Calibration]) -> None:
-    """Raise a ValueError unless there is one start for each camera of a rig, with its mount."""
+    """Raise a ValueError unless there is one start for each camera of a rig, of its set-up."""
     if set(starts) != set(rig.cameras):
         raise ValueError(
             f"starts: expected the cameras {', '.join(rig.cameras)}, found {', '.join(starts)}"
         )
     for name, data in rig.cameras.items():
-        if starts[name].mount != data.mount:
-            raise ValueError(
-                f"starts: camera {name!r} is {data.mount}, its start {starts[name].mount}"
-            )
+        with errors_at(f"camera {name!r}"):
+            require_same_set_up("the start", starts[name], data)
         if data.hands is not None and starts[name].base_from_other_base is None:
             raise ValueError(f"starts: camera {name!r} is on one of two arms: give their bases")
 

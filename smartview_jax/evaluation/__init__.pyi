@@ -46,6 +46,7 @@ from .rejections import count_rejected as count_rejected
 from .rejections import rejected_by as rejected_by
 from .rejections import without_rejected_rig_views as without_rejected_rig_views
 from .rejections import without_rejected_views as without_rejected_views
+from .stylus import MAX_MISS as MAX_MISS
 from .stylus import stylus_error as stylus_error
 from .stylus import touching_pose as touching_pose
 from .uncertainty import CalibrationEstimate as CalibrationEstimate

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..dataset import Dataset, Observations
+from ..dataset import Dataset, Observations, require_same_set_up
 from ..engine import linearise_views
 from ..geometry import matrix_exponentials, moved_points, pose_matrices
 from ..runtime.array_namespace import AnyArray
@@ -53,6 +53,7 @@ def free_pose_predictions(
 
     They are NumPy arrays.
     """
+    require_same_set_up("the calibration", calibration, data)
     visible = np.asarray(data.visible)
     # Four points determine a pose; with fewer all residuals are zero, and the start stays.
     determined = visible.sum(axis=1, keepdims=True) >= 4

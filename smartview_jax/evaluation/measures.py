@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..dataset import Dataset, view_residuals
+from ..dataset import Dataset, require_same_set_up, view_residuals
 from ..robots import CommandLike
 from ..runtime.array_namespace import AnyArray
 from ..runtime.compilation import compiled
@@ -85,8 +85,13 @@ def root_mean_square(values: np.ndarray) -> float:
 
 
 def reprojection_errors(predictor: Predictor, data: Dataset) -> ReprojectionErrors:
-    """Return the reprojection errors of all visible points; infinite without a prediction."""
+    """Return the reprojection errors of all visible points; infinite without a prediction.
+
+    Raises:
+        ValueError: a calibration of another mount, or of pictures of another size.
+    """
     if isinstance(predictor, Calibration):
+        require_same_set_up("the calibration", predictor, data)
         return _chain_reprojection_errors(predictor, data)
     predicted, valid, depth = predict(predictor, data.command, data.points)
     return errors_of_predictions(predictor.camera, data, predicted, valid, depth)

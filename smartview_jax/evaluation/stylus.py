@@ -13,6 +13,9 @@ from ..calibration import Calibration
 from ..runtime.array_namespace import as_float_array
 from ..runtime.compilation import is_traced
 
+MAX_MISS = 0.1
+"""Largest component of a miss, m; a larger one must be in another unit."""
+
 
 def touching_pose(
     tip: Float[np.ndarray, "3"],

@@ -1,5 +1,7 @@
 from .camera_errors import camera_covariance as camera_covariance
 from .candidates import suggested_grasps as suggested_grasps
+from .contradicted_touches import SURPRISING_P_VALUE as SURPRISING_P_VALUE
+from .contradicted_touches import causes_of_misses as causes_of_misses
 from .localized import LocalizedObject as LocalizedObject
 from .localized import PlacedObject as PlacedObject
 from .planned import PHASES as PHASES
@@ -13,6 +15,7 @@ from .scene import Obstacle as Obstacle
 from .stylus_touches import MissComparison as MissComparison
 from .stylus_touches import compare_misses as compare_misses
 from .stylus_touches import ellipse_axes as ellipse_axes
+from .stylus_touches import measured_error_factor as measured_error_factor
 from .stylus_touches import stylus_orientations as stylus_orientations
 from .stylus_touches import tip_error_factor as tip_error_factor
 from .success import Conditions as Conditions

@@ -77,6 +77,33 @@ def tip_error_factor(
     return -touches.world_from_tool[:, :3, :3] @ by_tau @ touches.error_factor
 
 
+def measured_error_factor(
+    touches: ToolCommands,
+    tip: Float[np.ndarray, "3"],
+    measurement_std: float,
+    tip_std: float = 0.0,
+) -> Float[np.ndarray, "n 3 errors"] | None:
+    """Return the factor of `tip_error_factor` for misses as they are measured.
+
+    Args:
+        touches: commands that bring the tip to its points.
+        tip: position of the tip in the tool's frame, m.
+        measurement_std: standard deviation of each measured component, m.
+        tip_std: standard deviation of each component of `tip`, m; common to all touches.
+
+    Returns:
+        None where the calibration was taken as exact.
+    """
+    factor = tip_error_factor(touches, tip)
+    if factor is None:
+        return None
+    count = len(factor)
+    # The tip's own error is turned with the tool; each touch is measured with an error of its own.
+    by_tip = tip_std * touches.world_from_tool[:, :3, :3]
+    by_measuring = measurement_std * np.eye(3 * count).reshape(count, 3, 3 * count)
+    return np.concatenate([factor, by_tip, by_measuring], axis=2)
+
+
 def ellipse_axes(
     covariance: Float[np.ndarray, "d d"],
 ) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d d"]]:
@@ -92,7 +119,8 @@ def compare_misses(
     """Compare measured misses with the errors that the calibration expects.
 
     Args:
-        error_factor: of the touches, as `tip_error_factor` returns it.
+        error_factor: of the touches, as `measured_error_factor` returns it; as `tip_error_factor`
+            does, for misses that are measured without an error.
         misses: measured tip minus point, in the world's axes, m: x and y, or x, y and z.
 
     Raises:

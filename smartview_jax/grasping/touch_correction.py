@@ -16,11 +16,15 @@ from ..engine import Parameters, Step, parameter_names
 from ..joint import SavedEstimate
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import one_program
-from .stylus_touches import tip_error_factor
+from .contradicted_touches import causes_of_misses
+from .stylus_touches import compare_misses, measured_error_factor, tip_error_factor
 from .tool_commands import ToolCommands
 
 if TYPE_CHECKING:
     from ..joint import JointFit
+
+MIN_CHANCE = 1e-6
+"""Probability of larger misses by chance below which they are refused."""
 
 
 def correct_by_touches(
@@ -48,8 +52,8 @@ def correct_by_touches(
 
     Raises:
         ValueError: commands without the calibration's errors, numbers of touches that differ,
-            misses that have neither two nor three components or are not finite, or a
-            `measurement_std` that is not positive.
+            misses that have neither two nor three components or are not finite, a
+            `measurement_std` that is not positive, or misses that are larger than all this allows.
 
     For example:
 
@@ -79,9 +83,15 @@ def correct_by_touches(
             "expected a positive measurement_std and a tip_std of at least 0, found "
             f"{measurement_std} and {tip_std}"
         )
-    # The tip's own error is turned with the tool: it is common to all touches, too.
-    by_tip = tip_std * touches.world_from_tool[:, :3, :3]
-    by_errors = np.concatenate([factor, by_tip], axis=2)[:, :size].reshape(count * size, -1)
+    measured = measured_error_factor(touches, tip, measurement_std, tip_std)
+    assert measured is not None
+    if compare_misses(measured, misses).p_value < MIN_CHANCE:
+        raise ValueError(
+            "misses: larger than the calibration, the tip and the measurement allow: "
+            f"{causes_of_misses(measured, misses)}"
+        )
+    # Without the last part, the errors of measuring, which are sigma in each component.
+    by_errors = measured[:, :size, : -3 * count].reshape(count * size, -1)
     # With independent errors e of unit variance and misses m = F e + noise, the errors' mean is
     # F^T S^-1 m and their covariance I - F^T S^-1 F, with S = F F^T + sigma^2 I.
     S = by_errors @ by_errors.T + measurement_std**2 * np.eye(count * size)

@@ -21,11 +21,9 @@ import numpy as np
 from jaxtyping import Float
 
 from .. import schemas
+from ..evaluation import MAX_MISS
 from ..geometry import LENGTH_UNITS
 from .csv_tables import parse_numbers, read_table
-
-MAX_MISS = 0.1
-"""Largest component of a miss, m; a larger one must be in another unit."""
 
 
 def read_misses(

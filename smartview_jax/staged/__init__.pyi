@@ -6,7 +6,6 @@ from .fit import fit_staged as fit_staged
 from .given_start import check_start as check_start
 from .given_start import known_transforms as known_transforms
 from .given_start import merged_start as merged_start
-from .given_start import require_picture_size as require_picture_size
 from .interpolation import Interpolation as Interpolation
 from .kalman import KalmanResult as KalmanResult
 from .kalman import kalman_filter as kalman_filter

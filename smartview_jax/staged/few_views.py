@@ -15,12 +15,11 @@ from jaxtyping import Bool, Float
 from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import Camera
 from ..data_checks import mask_unusable_views, minimum_points, unusable_views
-from ..dataset import Dataset
+from ..dataset import Dataset, require_picture_size
 from ..fit_result import Rejection
 from ..geometry import PoseLike, as_se3, host_matrices, host_transforms, mean_pose
 from ..runtime.array_namespace import to_device
 from .common_camera import MAX_UNCHECKED_POINTS
-from .given_start import require_picture_size
 from .pose_search import nearer_poses
 from .staged_fit import with_region
 from .two_poses import hand_eye_at_target

@@ -9,10 +9,10 @@ from jaxtyping import Float
 
 from ..calibration import Calibration, transform_names
 from ..cameras import Camera, Pinhole
+from ..dataset import require_picture_size
 from ..geometry import host_matrices
 from ..joint import SavedEstimate
 from ..robots import JointsLike
-from ..staged import require_picture_size
 from .information_model import InformationModel
 from .next_views import (
     TYPICAL_NOISE,

@@ -79,11 +79,13 @@ def test_misses_of_the_expected_size_are_as_expected(fitted, tmp_path):
     assert f"note: {seen}" in worse.stdout
     assert "0 of 5 are inside" in worse.stdout
     assert "): more than the calibration predicts" in " ".join(worse.stdout.split())
-    assert "the tip's position in the tool frame" in worse.stdout
+    words = " ".join(worse.stdout.split())
+    assert "likely causes: all touches miss alike, by about (9.00, -7.00) mm" in words
     found = json.loads(touched(fitted, *WORDS, "--misses", str(misses), "--json").stdout)
     assert found["notes"] == [seen]
     assert found["rms_m"] == pytest.approx(np.hypot(9e-3, 7e-3))
     assert found["comparison"]["p_value"] < 0.01
+    assert found["likely_causes"].startswith("all touches miss alike")
     assert found["touches"][0]["distance_m"] == found["rms_m"]
 
 
@@ -118,6 +120,7 @@ def test_misses_correct_the_calibration(fitted, tmp_path):
     refused = touched(fitted, *words, "--corrected", str(corrected))
     assert refused.exit_code == 2
     assert "larger than the calibration predicts" in refused.stderr
+    assert "all touches miss alike" in " ".join(refused.stderr.split())
     assert not corrected.exists()
 
 

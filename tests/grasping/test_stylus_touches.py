@@ -11,6 +11,7 @@ from smartview_jax.grasping import (
     ToolCommands,
     compare_misses,
     ellipse_axes,
+    measured_error_factor,
     stylus_orientations,
     tip_error_factor,
     tool_commands,
@@ -90,6 +91,22 @@ def test_misses_that_are_larger_than_expected_are_called_so():
         compare_misses(factor, np.zeros((2, 3)))
 
 
+def test_a_rough_ruler_and_a_tip_that_is_not_known_are_no_error_of_the_calibration():
+    """Their covariance by the law of the propagation of errors, for each touch and between both."""
+    touches = ToolCommands(poses(), None, np.full((2, 6, 1), 1e-6))
+    exact = np.full((2, 6, 1), 0.0)
+    factor = measured_error_factor(touches._replace(error_factor=exact), TIP, 3e-4, 2e-4)
+    stacked = factor.reshape(6, -1)
+    turns = poses()[:, :3, :3].reshape(6, 3)
+    expected = 2e-4**2 * turns @ turns.T + 3e-4**2 * np.eye(6)
+    np.testing.assert_allclose(stacked @ stacked.T, expected, atol=1e-16)
+    misses = 3e-4 * np.array([[1.0, -1.0, 0.5], [-0.7, 0.2, 1.0]])
+    assert compare_misses(tip_error_factor(touches, TIP), misses).p_value < 1e-6
+    assert compare_misses(measured_error_factor(touches, TIP, 3e-4), misses).p_value > 0.05
+
+
 def test_an_exact_calibration_expects_nothing():
     assert isinstance(TRUTH, Calibration)
-    assert tip_error_factor(tool_commands(TRUTH, poses()), TIP) is None
+    exact = tool_commands(TRUTH, poses())
+    assert tip_error_factor(exact, TIP) is None
+    assert measured_error_factor(exact, TIP, 1e-4) is None

@@ -152,3 +152,20 @@ def test_what_is_wrong_is_said(estimate, touches):
     ):
         with pytest.raises(ValueError, match=message):
             correct_by_touches(estimate, commands, TIP, misses, measurement_std=std)
+
+
+def test_misses_that_no_error_explains_are_refused_with_their_cause(estimate, touches):
+    """Millimetres given as metres, a touch on another point, another base frame."""
+    fine = 1e-4 * np.array([[1.0, 0.5, 0.0], [0.8, 0.5, 0.2], [1.2, 0.4, 0.1], [1.0, 0.7, 0.0]])
+    one_wrong, shifted = fine.copy(), fine + np.array([0.03, -0.02, 0.0])
+    one_wrong[2, 0] += 0.02
+    tilted = fine + 0.02 * np.eye(4, 3)
+    for misses, cause in (
+        (1e3 * fine, "millimetres given as metres"),
+        (one_wrong, "touch 3 contradicts the others: it was on another point"),
+        (shifted, r"all touches miss alike, by about \(30.10, -19.95, 0.\d+\) mm"),
+        (tilted, "the target's size"),
+    ):
+        with pytest.raises(ValueError, match=cause):
+            correct_by_touches(estimate, touches, TIP, misses, measurement_std=MEASUREMENT)
+    correct_by_touches(estimate, touches, TIP, fine, measurement_std=MEASUREMENT)

@@ -202,7 +202,7 @@ def test_a_view_without_its_target_has_the_pose_of_its_state():
 
 def test_starts_of_another_mount_and_without_bases_are_named():
     rig, truths = hands_rig(0)
-    with pytest.raises(ValueError, match="'wrist' is hand_to_hand, its start eye_to_hand"):
+    with pytest.raises(ValueError, match="camera 'wrist': mount: the start is eye_to_hand, but"):
         sv.fit_rig(rig, dict.fromkeys(truths, truths["fixed"]), **OPTIONS)
     apart = dataclasses.replace(truths["wrist"], base_from_other_base=None)
     with pytest.raises(ValueError, match="camera 'wrist' is on one of two arms: give their bases"):

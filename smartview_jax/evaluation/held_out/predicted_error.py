@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...calibration import Calibration, chain_of_matrices
-from ...dataset import Dataset
+from ...dataset import Dataset, require_same_set_up
 from ...engine import Noise, corrections_at_tool, covariance_factor
 from ...geometry import host_matrices, moved_points, pose_matrices
 from ...joint import JointFit, SavedEstimate
@@ -85,8 +85,9 @@ def expected_reprojection_errors(
 
     Raises:
         ValueError: the fit's data leave a parameter undetermined, or its noise leaves the poses
-            free.
+            free; or a fit of another mount, or of pictures of another size.
     """
+    require_same_set_up("the calibration", fit.calibration, data)
     calibration, visible = fit.calibration, np.asarray(data.visible)
     _, valid, depth = predict(calibration, data.command, data.points)
     expected_square = sum(expected_squared_errors(fit, data))

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...calibration import Calibration
-from ...dataset import Dataset, Observations, chain_residuals
+from ...dataset import Dataset, Observations, chain_residuals, require_same_set_up
 from ...engine import host_retract
 from ...geometry import look_at
 from ...robots import Command, as_command
@@ -54,9 +54,11 @@ def picture_uncertainty(
         view: index of the view; by default the one that shows the most points.
 
     Raises:
-        ValueError: a parameter is undetermined, or the view shows no point.
+        ValueError: a parameter is undetermined, the view shows no point, or the estimate is of
+            another mount or of pictures of another size.
     """
     calibration = estimate.calibration
+    require_same_set_up("the calibration", calibration, data)
     visible = np.asarray(data.visible)
     view = int(np.argmax(visible.sum(axis=1))) if view is None else view
     if not visible[view].any():
@@ -167,10 +169,12 @@ def workspace_uncertainty(
         count: number of points along each side.
 
     Raises:
-        ValueError: a parameter is undetermined, or the calibration corrects errors of joints, for
-            which poses alone do not suffice.
+        ValueError: a parameter is undetermined, the estimate is of another mount or of pictures of
+            another size, or the calibration corrects errors of joints, for which poses alone do
+            not suffice.
     """
     calibration = estimate.calibration
+    require_same_set_up("the calibration", calibration, data)
     if calibration.robot_error is not None and data.command.joints is not None:
         raise ValueError("data: a map needs a calibration without errors of joints")
     target = np.asarray(data.points)[np.asarray(data.visible)]
