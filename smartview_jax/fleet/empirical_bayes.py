@@ -36,8 +36,11 @@ from ..runtime.blas_threads import on_one_blas_thread
 from ..variance import RobotEvidence, SizesOfErrors
 from .type_mean import CommonErrorsOfType
 
-ROUNDS = 5
-"""Number of estimates, each with the robots' likelihoods approximated at the last one."""
+MAX_ROUNDS = 10
+"""Largest number of estimates, each with the robots' likelihoods approximated at the last one."""
+
+SIZE_TOLERANCE = 0.05
+"""Relative change of every size of errors below which the estimates have converged."""
 
 SMALLEST_SPREAD = 0.01
 """Smallest spread of the logarithms within a type that is tried, a percent: no robot's views tell
@@ -122,35 +125,10 @@ def _prior_of_type(evidence: Sequence[RobotEvidence], general: RobotPrior) -> Fl
     """Return the prior of `fleet_prior` from what each robot's views say."""
     models = _common_models(evidence)
     any_robot = np.array([_evidence_of_any_robot(robot, models, general) for robot in evidence])
-    members = np.ones(len(evidence))
-    priors, best = dict.fromkeys(models, general), models[0]
-    common: dict[str, CommonErrorsOfType | None] = dict.fromkeys(models)
-    for k in range(ROUNDS):
-        sizes_by_model = {
-            model: _sizes_of_all(evidence, model, priors[model], common[model]) for model in models
-        }
-        logs = {
-            model: np.array([entry.log_evidence for entry in sizes_by_model[model]])
-            for model in models
-        }
-        best = max(models, key=lambda model: float(logs[model] @ members))
-        # In the first round the prior of the type is still the general one.
-        members = (
-            _shares(np.stack([logs[best], any_robot]))[1][0]
-            if k > 0
-            else _most_alike(
-                sizes_by_model[best], *_sizes_of_any_robot(evidence[0].groups(best), general)
-            )
-        )
-        for model in models:
-            groups = evidence[0].groups(model)
-            estimate = _prior_of(sizes_by_model[model], members, groups, general)
-            priors[model] = estimate if k == 0 else _halfway(priors[model], estimate)
-            common[model] = _common_errors(evidence, model, sizes_by_model[model], members, general)
+    prior, common, best, members = _likeliest_type(evidence, models, any_robot, general)
     # The next robot has one prior for all models.
-    prior = priors[best]
-    sizes = [_sizes_of_all(evidence, model, prior, common[best]) for model in models]
-    logs = np.array([[entry.log_evidence for entry in of_model] for of_model in sizes])
+    sizes = {model: _sizes_of_all(evidence, model, prior, common) for model in models}
+    logs = np.array([[entry.log_evidence for entry in of_model] for of_model in sizes.values()])
     shares, _ = _shares(logs, members)
     of_type = np.logaddexp.reduce(logs + np.log(shares)[:, None], axis=0)
     members = _shares(np.stack([of_type, any_robot]))[1][0]
@@ -158,10 +136,52 @@ def _prior_of_type(evidence: Sequence[RobotEvidence], general: RobotPrior) -> Fl
         field.name: getattr(prior, field.name) for field in dataclasses.fields(RobotPrior)
     }
     values["model_odds"] = dict(zip(models, map(float, shares), strict=True))
-    of_best = sizes[models.index(best)]
-    told = _common_errors(evidence, best, of_best, members, general)
-    values["common_errors"] = None if told is None else told.told_by_all
+    common = _common_errors(evidence, best, sizes[best], members, general)
+    values["common_errors"] = None if common is None else common.told_by_all
     return FleetPrior(**values, model=best, membership=tuple(map(float, members)))
+
+
+def _likeliest_type(
+    evidence: Sequence[RobotEvidence],
+    models: Sequence[str],
+    any_robot: Float[np.ndarray, "robots"],
+    general: RobotPrior,
+) -> tuple[RobotPrior, CommonErrorsOfType | None, str, Float[np.ndarray, "robots"]]:
+    """Estimate sizes and common errors of a type in each model, and which robots belong, in turn.
+
+    Args:
+        evidence: what each robot's views say.
+        models: names of the models.
+        any_robot: logarithm of each robot's evidence under the prior for any robot.
+        general: this prior.
+
+    Returns:
+        The prior and the common errors of the best model, its name, and the weight of each robot.
+    """
+    members = np.ones(len(evidence))
+    priors, best = dict.fromkeys(models, general), models[0]
+    common: dict[str, CommonErrorsOfType | None] = dict.fromkeys(models)
+    for k in range(MAX_ROUNDS):
+        sizes = {
+            model: _sizes_of_all(evidence, model, priors[model], common[model]) for model in models
+        }
+        logs = {model: np.array([entry.log_evidence for entry in sizes[model]]) for model in models}
+        best = max(models, key=lambda model: float(logs[model] @ members))
+        # In the first round the prior of the type is still the general one.
+        members = (
+            _shares(np.stack([logs[best], any_robot]))[1][0]
+            if k > 0
+            else _most_alike(sizes[best], *_sizes_of_any_robot(evidence[0].groups(best), general))
+        )
+        last = priors[best]
+        for model in models:
+            groups = evidence[0].groups(model)
+            estimate = _prior_of(sizes[model], members, groups, general)
+            priors[model] = estimate if k == 0 else _halfway(priors[model], estimate)
+            common[model] = _common_errors(evidence, model, sizes[model], members, general)
+        if k > 0 and _relative_change(last, priors[best]) < SIZE_TOLERANCE:
+            break
+    return priors[best], common[best], best, members
 
 
 def _halfway(first: RobotPrior, second: RobotPrior) -> RobotPrior:
@@ -188,6 +208,17 @@ def _halfway(first: RobotPrior, second: RobotPrior) -> RobotPrior:
             for name, value in second.geometric_std_by_name.items()
         },
     )
+
+
+def _relative_change(first: RobotPrior, second: RobotPrior) -> float:
+    """Return the largest relative change of a median size from one prior to another."""
+    medians = np.array(
+        [
+            (prior.translation_median, prior.rotation_median, *prior.group_medians.values())
+            for prior in (first, second)
+        ]
+    )
+    return float(np.abs(medians[1] / medians[0] - 1.0).max())
 
 
 def _evidence_of(number: int, fit: JointFit) -> RobotEvidence:
