@@ -7,11 +7,16 @@ calibrated again with that prior. Printed are the hand-eye errors of the type's 
 median, mm), in how many the 95 % interval of a coordinate holds the truth, and which robots are
 named as of another type.
 
+With `--common 0.5`, half of the variance of the type's errors is common to all its robots, as where
+the type's drawings are wrong; the prior then has their mean. Without, the robots have no errors in
+common.
+
 Then `sv.calibrate_many` runs on one and on more processes: sets a minute, and the memory of all
 processes as the sets go by.
 
     python -m benchmarks fleet
     python -m benchmarks.fleet --robots 200 --sets 300 --processes 1 2
+    python -m benchmarks.fleet --robots 120 --sets 0 --common 0.5
 """
 
 import argparse
@@ -28,8 +33,9 @@ import numpy as np
 
 import smartview_jax as sv
 from smartview_jax.fleet import FleetPrior, outcomes
-from smartview_jax.robot_errors import RobotPrior
-from smartview_jax.simulation import six_axis_scene
+from smartview_jax.robot_errors import RobotError, RobotPrior
+from smartview_jax.robots import six_axes
+from smartview_jax.simulation import random_kinematic_errors, six_axis_scene
 
 ERRORS = {
     "joint_offset": float(np.deg2rad(0.1)),
@@ -38,6 +44,9 @@ ERRORS = {
 }
 OTHER_TYPE_EVERY, OTHER_TYPE_SCALE = 25, 5.0
 VIEWS = 3
+
+COMMON_SEED = 20
+"""Seed of the errors that the robots of the type have in common."""
 
 MAX_ERROR_RATIO, COVERAGE = 0.6, (0.93, 0.97)
 """Claims: median hand-eye error over the independent fits', and coverage of 95 % intervals."""
@@ -62,24 +71,30 @@ def run(
     robots: int = 1000,
     sets: int = 5000,
     processes: Sequence[int] = (1, 2),
+    common: float = 0.0,
 ) -> bool:
-    """Print gain, time and memory; True where all claims hold."""
+    """Print gain, time and memory; True where all claims hold.
+
+    `common` is the share of the errors' variance that is common to the robots of the type.
+    """
     if smoke:
-        return _gain(8, ThreadPoolExecutor(1), loose=True) & _speed(4, (), ThreadPoolExecutor(1))
-    return _gain(robots, max(processes)) & _speed(sets, processes, None)
+        gains = _gain(8, ThreadPoolExecutor(1), 0.0, loose=True)
+        return gains & _speed(4, (), ThreadPoolExecutor(1))
+    gains = _gain(robots, max(processes), common)
+    return gains & _speed(sets, processes, None) if sets else gains
 
 
-def _gain(robots: int, executor: Executor | int, loose: bool = False) -> bool:
+def _gain(robots: int, executor: Executor | int, common: float, loose: bool = False) -> bool:
     """Print what the prior of the fleet gains; True where the claims hold."""
-    alone = dict(_calibrated(range(robots), None, executor))
+    alone = dict(_calibrated(range(robots), None, executor, common))
     numbers = sorted(alone)
     failed = robots - len(numbers)
     begun = time.perf_counter()
     prior = sv.fleet_prior(_fit_of(alone[k]) for k in numbers)
     seconds = time.perf_counter() - begun
-    with_prior = dict(_calibrated(numbers, prior, executor))
+    with_prior = dict(_calibrated(numbers, prior, executor, common))
     others = {k for k in numbers if _is_of_other_type(k)}
-    _print_prior(prior, seconds)
+    _print_prior(prior, seconds, common)
     named = {numbers[k] for k in prior.outsiders}
     print(
         f"of another type: {len(others)}, named {len(named & others)}; "
@@ -106,10 +121,10 @@ def _gain(robots: int, executor: Executor | int, loose: bool = False) -> bool:
 
 
 def _calibrated(
-    numbers: Sequence[int], prior: RobotPrior | None, executor: Executor | int
+    numbers: Sequence[int], prior: RobotPrior | None, executor: Executor | int, common: float
 ) -> Iterator[tuple[int, Robot]]:
     """Yield number and fit of every robot that could be calibrated."""
-    for outcome in outcomes(partial(_robot, prior=prior), numbers, executor):
+    for outcome in outcomes(partial(_robot, prior=prior, common=common), numbers, executor):
         number = numbers[outcome.number]
         if outcome.error is None:
             yield number, outcome.result
@@ -121,16 +136,26 @@ def _is_of_other_type(number: int) -> bool:
     return number % OTHER_TYPE_EVERY == OTHER_TYPE_EVERY // 5
 
 
-def _scene(number: int) -> Any:
-    """Return the views of one robot."""
-    scale = OTHER_TYPE_SCALE if _is_of_other_type(number) else 1.0
-    scene = six_axis_scene(number, VIEWS, held_out_views=1, error_scale=scale, error_sigma=ERRORS)
+def _scene(number: int, common: float = 0.0) -> Any:
+    """Return the views of one robot; `common` is the type's share of the errors' variance."""
+    of_type, error = not _is_of_other_type(number), None
+    scale = 1.0 if of_type else OTHER_TYPE_SCALE
+    if common and of_type:
+        shared, own = (
+            random_kinematic_errors(six_axes(), np.random.default_rng(seed), 1.0, ERRORS)
+            for seed in ((COMMON_SEED, 0), (COMMON_SEED, 1, number))
+        )
+        parts = common**0.5 * shared.coefficients, (1.0 - common) ** 0.5 * own.coefficients
+        error = RobotError(own.field, sum(parts))
+    scene = six_axis_scene(
+        number, VIEWS, held_out_views=1, error_scale=scale, error_sigma=ERRORS, arm_error=error
+    )
     return scene.with_joint_readings
 
 
-def _robot(number: int, prior: RobotPrior | None) -> Robot:
+def _robot(number: int, prior: RobotPrior | None, common: float) -> Robot:
     """Simulate and calibrate one robot."""
-    scene = _scene(number)
+    scene = _scene(number, common)
     fit = sv.calibrate(scene.data, robot_prior=prior)
     poses = fit.calibration.camera_from_tool, scene.calibration.camera_from_tool
     found, truth = (np.asarray(pose.translation()) for pose in poses)
@@ -144,11 +169,11 @@ def _fit_of(robot: Robot) -> sv.JointFit:
     return robot.fit
 
 
-def _print_prior(prior: FleetPrior, seconds: float) -> None:
-    """Print the prior next to the simulated sizes of the errors."""
+def _print_prior(prior: FleetPrior, seconds: float, common: float) -> None:
+    """Print the prior next to the simulated sizes of what robots deviate from their type."""
     print(f"prior of the type in {seconds:.0f} s: model {prior.model}")
-    for name, truth in ERRORS.items():
-        std = prior.geometric_std_of(name)
+    for name, size in ERRORS.items():
+        std, truth = prior.geometric_std_of(name), (1.0 - common) ** 0.5 * size
         print(f"  {name:13} {prior.group_medians[name]:.2e} (simulated {truth:.2e}), x/ {std:.2f}")
 
 
@@ -202,5 +227,5 @@ if __name__ == "__main__":
     parser.add_argument("--robots", type=int, default=1000)
     parser.add_argument("--sets", type=int, default=5000)
     parser.add_argument("--processes", type=int, nargs="*", default=(1, 2))
-    arguments = parser.parse_args()
-    sys.exit(0 if run(False, arguments.robots, arguments.sets, arguments.processes) else 1)
+    parser.add_argument("--common", type=float, default=0.0)
+    sys.exit(0 if run(**vars(parser.parse_args())) else 1)

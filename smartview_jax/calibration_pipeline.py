@@ -359,7 +359,7 @@ def refit_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
         held = tuple(f"{ROBOT_ERROR}.{name}" for name in groups)
         options |= {"noise": noise, "field": field, "fixed": (*fixed, *held)}
         if field is not None:
-            start = dataclasses.replace(start, robot_error=RobotError.zero(field))
+            start = dataclasses.replace(start, robot_error=RobotError.without_errors(field))
     refitted = fit_joint(data, start, inliers=used, **options)
     return refitted.calibration.uncorrected
 

@@ -1,6 +1,7 @@
-"""Estimate what robots of one type have in common: how large their errors are.
+"""Estimate what robots of one type have in common: errors of all, and how large the others are.
 
-Robots of one type differ in their errors, but not much in how large these are. The logarithms x of
+Robots of one type have some errors in common (`type_mean`). They differ in what they deviate
+from these, but not much in how large it is. The logarithms x of
 the standard deviations of robot i (pose noise, and each group of an error field) are Gaussian about
 the type's:
 
@@ -10,7 +11,9 @@ with m and S from the prior for any robot, and T, one spread of the pose noise a
 field's groups, by maximum likelihood with x and mu integrated out. Each robot's views contribute
 their likelihood, approximated by a Gaussian at the peak of its posterior (`SizesOfErrors`). This
 posterior uses the prior of the type, so estimates and approximations are repeated in turn. The next
-robot then needs fewer views, because its errors are weighted like its type's.
+robot then needs fewer views, because its errors are weighted like its type's. What a robot
+deviates is seen from the common errors that the other robots tell: otherwise, with few robots,
+their deviations would look too small.
 
 A robot may be of another type. Its evidence under the type's prior is compared with the evidence
 under the prior for any robot, and its weight in the estimates is the probability that it belongs.
@@ -28,11 +31,16 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 
 from ..joint import JointFit
-from ..robot_errors import RobotPrior
+from ..robot_errors import RobotPrior, arm_parameters
+from ..runtime.blas_threads import on_one_blas_thread
 from ..variance import RobotEvidence, SizesOfErrors
+from .type_mean import CommonErrorsOfType
 
-ROUNDS = 5
-"""Number of estimates, each with the robots' likelihoods approximated at the last one."""
+MAX_ROUNDS = 10
+"""Largest number of estimates, each with the robots' likelihoods approximated at the last one."""
+
+SIZE_TOLERANCE = 0.05
+"""Relative change of every size of errors below which the estimates have converged."""
 
 SMALLEST_SPREAD = 0.01
 """Smallest spread of the logarithms within a type that is tried, a percent: no robot's views tell
@@ -59,6 +67,23 @@ class FleetPrior(RobotPrior):
 
     model: str = "white"
     membership: tuple[float, ...] = ()
+
+    def __str__(self) -> str:
+        """Return the type's errors as text: how large, and what all its robots have in common."""
+        medians = {"translation": self.translation_median, "rotation": self.rotation_median}
+        medians |= self.group_medians
+        lines = [f"robots of one type, with errors {self.model!r} (m, rad)"]
+        lines += [
+            f"  {name}: {medians[name]:.2g}, x/ {self.geometric_std_of(name):.2f}"
+            for name in self.geometric_std_by_name
+        ]
+        common = {} if self.common_errors is None else self.common_errors.mean_and_std
+        lines += [
+            f"  in common {name}: {mean:.2g} +- {std:.1g}"
+            for name, (mean, std) in common.items()
+            if abs(mean) > std
+        ]
+        return "\n".join(lines)
 
     @property
     def outsiders(self) -> tuple[int, ...]:
@@ -92,33 +117,18 @@ def fleet_prior(fits: Iterable[JointFit], general: RobotPrior | None = None) -> 
     evidence = [_evidence_of(k, fit) for k, fit in enumerate(fits)]
     if len(evidence) < MINIMUM_FITS:
         raise ValueError(f"fleet_prior: expected at least two fits, found {len(evidence)}")
+    return _prior_of_type(evidence, general)
+
+
+@on_one_blas_thread
+def _prior_of_type(evidence: Sequence[RobotEvidence], general: RobotPrior) -> FleetPrior:
+    """Return the prior of `fleet_prior` from what each robot's views say."""
     models = _common_models(evidence)
     any_robot = np.array([_evidence_of_any_robot(robot, models, general) for robot in evidence])
-    members = np.ones(len(evidence))
-    priors, best = dict.fromkeys(models, general), models[0]
-    for k in range(ROUNDS):
-        sizes_by_model = {model: _sizes_of_all(evidence, model, priors[model]) for model in models}
-        logs = {
-            model: np.array([entry.log_evidence for entry in sizes_by_model[model]])
-            for model in models
-        }
-        best = max(models, key=lambda model: float(logs[model] @ members))
-        # In the first round the prior of the type is still the general one.
-        members = (
-            _shares(np.stack([logs[best], any_robot]))[1][0]
-            if k > 0
-            else _most_alike(
-                sizes_by_model[best], *_sizes_of_any_robot(evidence[0].groups(best), general)
-            )
-        )
-        for model in models:
-            groups = evidence[0].groups(model)
-            estimate = _prior_of(sizes_by_model[model], members, groups, general)
-            priors[model] = estimate if k == 0 else _halfway(priors[model], estimate)
+    prior, common, best, members = _likeliest_type(evidence, models, any_robot, general)
     # The next robot has one prior for all models.
-    prior = priors[best]
-    sizes = [_sizes_of_all(evidence, model, prior) for model in models]
-    logs = np.array([[entry.log_evidence for entry in of_model] for of_model in sizes])
+    sizes = {model: _sizes_of_all(evidence, model, prior, common) for model in models}
+    logs = np.array([[entry.log_evidence for entry in of_model] for of_model in sizes.values()])
     shares, _ = _shares(logs, members)
     of_type = np.logaddexp.reduce(logs + np.log(shares)[:, None], axis=0)
     members = _shares(np.stack([of_type, any_robot]))[1][0]
@@ -126,7 +136,52 @@ def fleet_prior(fits: Iterable[JointFit], general: RobotPrior | None = None) -> 
         field.name: getattr(prior, field.name) for field in dataclasses.fields(RobotPrior)
     }
     values["model_odds"] = dict(zip(models, map(float, shares), strict=True))
+    common = _common_errors(evidence, best, sizes[best], members, general)
+    values["common_errors"] = None if common is None else common.told_by_all
     return FleetPrior(**values, model=best, membership=tuple(map(float, members)))
+
+
+def _likeliest_type(
+    evidence: Sequence[RobotEvidence],
+    models: Sequence[str],
+    any_robot: Float[np.ndarray, "robots"],
+    general: RobotPrior,
+) -> tuple[RobotPrior, CommonErrorsOfType | None, str, Float[np.ndarray, "robots"]]:
+    """Estimate sizes and common errors of a type in each model, and which robots belong, in turn.
+
+    Args:
+        evidence: what each robot's views say.
+        models: names of the models.
+        any_robot: logarithm of each robot's evidence under the prior for any robot.
+        general: this prior.
+
+    Returns:
+        The prior and the common errors of the best model, its name, and the weight of each robot.
+    """
+    members = np.ones(len(evidence))
+    priors, best = dict.fromkeys(models, general), models[0]
+    common: dict[str, CommonErrorsOfType | None] = dict.fromkeys(models)
+    for k in range(MAX_ROUNDS):
+        sizes = {
+            model: _sizes_of_all(evidence, model, priors[model], common[model]) for model in models
+        }
+        logs = {model: np.array([entry.log_evidence for entry in sizes[model]]) for model in models}
+        best = max(models, key=lambda model: float(logs[model] @ members))
+        # In the first round the prior of the type is still the general one.
+        members = (
+            _shares(np.stack([logs[best], any_robot]))[1][0]
+            if k > 0
+            else _most_alike(sizes[best], *_sizes_of_any_robot(evidence[0].groups(best), general))
+        )
+        last = priors[best]
+        for model in models:
+            groups = evidence[0].groups(model)
+            estimate = _prior_of(sizes[model], members, groups, general)
+            priors[model] = estimate if k == 0 else _halfway(priors[model], estimate)
+            common[model] = _common_errors(evidence, model, sizes[model], members, general)
+        if k > 0 and _relative_change(last, priors[best]) < SIZE_TOLERANCE:
+            break
+    return priors[best], common[best], best, members
 
 
 def _halfway(first: RobotPrior, second: RobotPrior) -> RobotPrior:
@@ -153,6 +208,17 @@ def _halfway(first: RobotPrior, second: RobotPrior) -> RobotPrior:
             for name, value in second.geometric_std_by_name.items()
         },
     )
+
+
+def _relative_change(first: RobotPrior, second: RobotPrior) -> float:
+    """Return the largest relative change of a median size from one prior to another."""
+    medians = np.array(
+        [
+            (prior.translation_median, prior.rotation_median, *prior.group_medians.values())
+            for prior in (first, second)
+        ]
+    )
+    return float(np.abs(medians[1] / medians[0] - 1.0).max())
 
 
 def _evidence_of(number: int, fit: JointFit) -> RobotEvidence:
@@ -188,12 +254,42 @@ def _evidence_of_any_robot(
 
 
 def _sizes_of_all(
-    evidence: Sequence[RobotEvidence], model: str, prior: RobotPrior
+    evidence: Sequence[RobotEvidence],
+    model: str,
+    prior: RobotPrior,
+    common: CommonErrorsOfType | None,
 ) -> list[SizesOfErrors]:
-    """Return every robot's likelihood of the sizes of its errors."""
+    """Return every robot's likelihood of the sizes of its errors, about the others' mean."""
     # A robot with much larger noise than its type's is of another type.
-    of_type = dataclasses.replace(prior, weak_robot_probability=0.0)
-    return [robot.sizes(model, of_type) for robot in evidence]
+    of_type = dataclasses.replace(prior, weak_robot_probability=0.0, common_errors=None)
+    priors = [
+        of_type
+        if common is None
+        else dataclasses.replace(of_type, common_errors=common.told_by_others(k))
+        for k in range(len(evidence))
+    ]
+    return [robot.sizes(model, prior) for robot, prior in zip(evidence, priors, strict=True)]
+
+
+def _common_errors(
+    evidence: Sequence[RobotEvidence],
+    model: str,
+    sizes: Sequence[SizesOfErrors],
+    members: Float[np.ndarray, "robots"],
+    general: RobotPrior,
+) -> CommonErrorsOfType | None:
+    """Return the errors that robots have in common; None if these are not of one nominal arm."""
+    fields = [robot.arm_errors for robot in evidence]
+    arms = {None if field is None else arm_parameters(field.arm) for field in fields}
+    field = fields[0]
+    if field is None or len(arms) > 1:
+        return None
+    robots = [
+        robot.errors(entry.sigmas, model, general)
+        for robot, entry in zip(evidence, sizes, strict=True)
+        if entry.sigmas is not None
+    ]
+    return CommonErrorsOfType.of(field, robots, members, general)
 
 
 def _shares(

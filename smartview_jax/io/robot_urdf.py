@@ -99,6 +99,7 @@ def actual_arm(calibration: Calibration, arm: SerialArm | None = None) -> Serial
                 "readings of its joints"
             )
         return arm
+    error = error.whole
     field = error.field
     if not isinstance(field, AbstractArmErrors):
         raise ValueError(

@@ -13,6 +13,7 @@ from ..robot_errors import (
 )
 from ..variance import MIN_SHAPE_SIGMAS
 from .joint_fit import JointFit
+from .parameter_estimates import whole_error_stds
 
 MIN_BENDING_PROBABILITY = 0.5
 """Probability of the models with errors that are quadratic in the position, above which the bending
@@ -32,7 +33,8 @@ def bending_warnings(fit: JointFit) -> list[str]:
 def _bending_joints(fit: JointFit) -> list[str]:
     """Return a sentence on the joints whose compliance is significant."""
     compliances = _coefficients(fit, "joint_compliance")
-    stds = {name: fit.std[f"{ROBOT_ERROR}.{name}"] for name in compliances}
+    known = {**fit.std, **whole_error_stds(fit)}
+    stds = {name: known[f"{ROBOT_ERROR}.{name}"] for name in compliances}
     named = [
         f"{name.split('.')[1]} by {np.rad2deg(abs(value)):.3f} +- {np.rad2deg(stds[name]):.3f}"
         for name, value in compliances.items()
@@ -79,6 +81,7 @@ def _coefficients(fit: JointFit, group: str) -> dict[str, float]:
     """Return the fitted coefficients of a group of the robot error by name."""
     error = fit.calibration.robot_error
     assert error is not None
+    error = error.whole
     values = zip(error.field.names, np.asarray(error.coefficients), strict=True)
     return {
         name: float(value)

@@ -15,7 +15,6 @@ from jaxtyping import Float
 
 from ..calibration import host_mount_from_holder
 from ..dataset import MINIMUM_RELIABLE_VIEWS, UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
-from ..engine import TARGET_SCALE, parameter_names
 from ..geometry import (
     host_adjoints,
     host_cross_matrices,
@@ -33,6 +32,7 @@ from ..variance import (
     moved_transforms,
     walk_log_evidence,
 )
+from .chain_covariance import in_named_parameters, widened_to
 from .joint_fit import JointFit
 from .tracker_noise import TrackedChain, TrackerNoise, in_metres, noise_priors, scaled_pairs
 
@@ -219,11 +219,6 @@ class _Chain:
         stds = walk.drift_stds(likeliest.logarithms)
         moved = np.einsum("vij,vj->vi", walk.by_drift, self.drifted)[self.data.seen]
         count = walk.pairs.by_unknowns.shape[2]
-        by_name = np.eye(count)
-        for k, transform in enumerate((self.camera_from_mount, self.holder_from_world)):
-            # A left twist (v, w) moves a translation t by v + w x t.
-            levers = -host_cross_matrices(transform[None, :3, 3])[0]
-            by_name[6 * k : 6 * k + 3, 6 * k + 3 : 6 * k + 6] = levers
         covariance = likeliest.fit.covariance[:count, :count]
         return TrackerDrift(
             measured,
@@ -233,7 +228,7 @@ class _Chain:
                 float(np.linalg.norm(moved[:, :3], axis=1).max()),
                 float(np.linalg.norm(moved[:, 3:], axis=1).max()),
             ),
-            by_name @ covariance @ by_name.T,
+            in_named_parameters(covariance, self.camera_from_mount, self.holder_from_world),
         )
 
 
@@ -263,22 +258,5 @@ def _priors(chain: TrackedChain, noise: TrackerNoise, drifts: bool) -> LogNormal
 
 def with_uncertain_drift(fit: JointFit, drift: TrackerDrift) -> JointFit:
     """Return the fit to poses without the drift, with its uncertainty and a warning."""
-    chain = (*fit.calibration.transform_names, TARGET_SCALE)
-    names = [name for name in parameter_names(fit.calibration) if name.split(".")[0] in chain]
-    of_chain = dict(zip(names, range(len(drift.chain_covariance)), strict=False))
-    rows = [k for k, name in enumerate(fit.parameter_names) if name in of_chain]
-    kept = [of_chain[fit.parameter_names[k]] for k in rows]
-    covariance = np.array(fit.covariance)
-    stated = covariance[np.ix_(rows, rows)]
-    lacking = drift.chain_covariance[np.ix_(kept, kept)] - stated
-    size = np.sqrt(np.diagonal(stated))
-    values, vectors = np.linalg.eigh(lacking / np.outer(size, size))
-    vectors = size[:, None] * vectors
-    covariance[np.ix_(rows, rows)] += (vectors * np.maximum(values, 0.0)) @ vectors.T
-    std = dict(fit.std)
-    for k in rows:
-        if np.isfinite(std[fit.parameter_names[k]]):
-            std[fit.parameter_names[k]] = float(np.sqrt(covariance[k, k]))
-    return dataclasses.replace(
-        fit, covariance=covariance, std=std, warnings=(drift.described, *fit.warnings)
-    )
+    widened = widened_to(fit, drift.chain_covariance)
+    return dataclasses.replace(widened, warnings=(drift.described, *fit.warnings))

@@ -8,7 +8,7 @@ import numpy as np
 from ..calibration import SHAPE_NAMES, Calibration
 from ..engine import DEPTH_BIAS_NAMES, ROBOT_ERROR
 from ..geometry import host_logarithms, host_matrices
-from ..robot_errors import nominal_arm
+from ..robot_errors import ErrorsOfType, nominal_arm
 
 if TYPE_CHECKING:
     from .joint_fit import JointFit
@@ -38,16 +38,36 @@ def parameter_estimates(fit: "JointFit") -> tuple[ParameterEstimate, ...]:
     Coefficients of a robot error field are included only for a known arm, because in other fields
     single coefficients have no meaning.
     """
-    estimates = []
+    estimates, whole_stds = [], whole_error_stds(fit)
     for name, (value, factor, unit) in _values_with_units(fit.calibration).items():
         # Pose corrections are in `std` too, but only common parameters have an interval.
         std = half_width = None
         if name in fit.std:
             # The parameter of the target's scale is its logarithm.
             unit_size = value if name == "target_scale" else factor
+            if name in whole_stds:
+                unit_size *= whole_stds[name] / fit.std[name]
             std, half_width = unit_size * fit.std[name], unit_size * fit.confidence_half_width(name)
         estimates.append(ParameterEstimate(name, factor * value, unit, std, half_width))
     return tuple(estimates)
+
+
+def whole_error_stds(fit: "JointFit") -> dict[str, float]:
+    """Return the standard deviations of an arm's errors about zero, if it was fitted about a type.
+
+    Those in `JointFit.std` are of what the arm deviates from the errors that its type has in
+    common. Empty for a fit without such errors.
+    """
+    field = fit.calibration.field
+    if not isinstance(field, ErrorsOfType):
+        return {}
+    names = [f"{ROBOT_ERROR}.{name}" for name in field.names]
+    fitted = [k for k, name in enumerate(names) if name in fit.parameter_names]
+    rows = [fit.parameter_names.index(names[k]) for k in fitted]
+    by_fitted = field.by_coefficients[:, fitted]
+    covariance = by_fitted @ np.asarray(fit.covariance)[np.ix_(rows, rows)] @ by_fitted.T
+    stds = np.sqrt(np.diagonal(covariance))
+    return {name: float(std) for name, std in zip(names, stds, strict=False) if name in fit.std}
 
 
 def displayed_values(calibration: Calibration) -> dict[str, tuple[float, str]]:
@@ -101,6 +121,7 @@ def _arm_error_coefficients(calibration: Calibration) -> dict[str, float]:
     error = calibration.robot_error
     if error is None or nominal_arm(calibration.field) is None:
         return {}
+    error = error.whole
     coefficients = np.asarray(error.coefficients)
     return {
         f"{ROBOT_ERROR}.{name}": float(coefficient)

@@ -29,6 +29,7 @@ from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..runtime.blas_threads import on_one_blas_thread
 from ..staged import check_start
+from .chain_covariance import widened_to
 from .drifting_tracker import TrackerDrift, tracker_drift, with_uncertain_drift
 from .fit import fit_joint
 from .fit_text import robot_noise_text
@@ -258,7 +259,8 @@ def fit_poses(
 
     def fit_consistent() -> tuple[PoseDataset, JointFit, TrackerDrift | None]:
         """Return the pairs that agree, with the tracker's noise, the fit to them and the drift."""
-        used, drift = without_views(data, _contradictions(data, calibration, consistent)), None
+        used = without_views(data, _contradictions(data, calibration, consistent))
+        noise = drift = None
         if not data.states_covariance:
             chain = TrackedChain(used, calibration, scale, prior, tracker_prior or TrackerPrior())
             known = begin.drift if begin.drift is not None and begin.drift.is_of(chain) else None
@@ -279,6 +281,9 @@ def fit_poses(
             progress=progress,
             **choice.holding("camera")._asdict(),
         )
+        if noise is not None and drift is None and not (fixed or priors):
+            # The fit takes the ratios of the tracker's noises as known.
+            fit = widened_to(fit, noise.chain_covariance())
         return used, fit, drift
 
     used, fit, drift = fit_consistent()

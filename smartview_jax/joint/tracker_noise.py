@@ -20,13 +20,16 @@ from ..runtime.blas_threads import on_one_blas_thread
 from ..variance import (
     DEPTH_AXES,
     DepthAxis,
+    LikeliestVariances,
     LinearPairs,
     LogNormalPriors,
+    averaged_covariance,
     likeliest_variances,
     linear_pairs,
     moved_transforms,
     serial_correlation,
 )
+from .chain_covariance import in_named_parameters
 
 UNIT_ROUNDS = 2
 """Rounds in which the chain and the ratios of the tracker's noises are estimated in turn."""
@@ -99,6 +102,8 @@ class TrackerNoise(NamedTuple):
         covariance: of the tracked poses, m and rad.
         evidence: logarithm of the evidence for it.
         correlation: of successive errors, in its standard deviations.
+        likeliest: the likeliest variances, with the pairs that tell them.
+        transforms: of the chain about which these pairs are linear.
     """
 
     axis: DepthAxis
@@ -107,6 +112,17 @@ class TrackerNoise(NamedTuple):
     covariance: Float[np.ndarray, "views 6 6"]
     evidence: float
     correlation: float
+    likeliest: LikeliestVariances
+    transforms: tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]]
+
+    @on_one_blas_thread
+    def chain_covariance(self) -> Float[np.ndarray, "unknowns unknowns"]:
+        """Return the covariance of the chain over all sizes of the noises, not the likeliest alone.
+
+        It is in the order of the names of both transforms and of the scale's logarithm, if that is
+        unknown.
+        """
+        return in_named_parameters(averaged_covariance(self.likeliest), *self.transforms)
 
 
 class TrackedChain(NamedTuple):
@@ -216,20 +232,30 @@ def _tracker_noise(chain: TrackedChain, axis: DepthAxis) -> TrackerNoise:
     used = pairs.of(chain.data.seen)
     best = _likeliest(chain, used, np.ones(len(pairs.parts)))
     for _ in range(UNIT_ROUNDS - 1):
-        transforms = moved_transforms(*transforms, used.solved(best.variances))
+        transforms = moved_transforms(*transforms, used.solved(best.found.variances))
         pairs = scaled_pairs(chain.data, *transforms, axis, chain.scale)
         used = pairs.of(chain.data.seen)
-        best = _likeliest(chain, used, best.variances)
+        best = _likeliest(chain, used, best.found.variances)
     # The last two are the robot's.
-    covariance = np.einsum("k,kvij->vij", best.variances[:-2], pairs.parts[:-2])
-    correlation = serial_correlation(used, best.variances)
-    return TrackerNoise(axis, best.variances, best.medians, covariance, best.evidence, correlation)
+    variances = best.found.variances
+    covariance = np.einsum("k,kvij->vij", variances[:-2], pairs.parts[:-2])
+    correlation = serial_correlation(used, variances)
+    return TrackerNoise(
+        axis,
+        variances,
+        best.medians,
+        covariance,
+        best.evidence,
+        correlation,
+        best.found,
+        transforms,
+    )
 
 
 class _Likeliest(NamedTuple):
     """The likeliest variances, the logarithm of their evidence, and the robot's medians."""
 
-    variances: Float[np.ndarray, "parts"]
+    found: LikeliestVariances
     evidence: float
     medians: Float[np.ndarray, "2"]
 
@@ -246,7 +272,7 @@ def _likeliest(
         if probability > 0.0:
             best = likeliest_variances(pairs, start, noise_priors(chain, len(pairs.parts), medians))
             evidence = best.evidence + float(np.log(probability))
-            candidates.append(_Likeliest(best.variances, evidence, medians))
+            candidates.append(_Likeliest(best, evidence, medians))
     return max(candidates, key=lambda candidate: candidate.evidence)
 
 

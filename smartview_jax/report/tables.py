@@ -23,6 +23,7 @@ from ..evaluation import (
     without_rejected_views,
 )
 from ..joint import JointFit, outcome, parameter_estimates
+from ..robot_errors import ErrorsOfType
 from ..variance import NoiseEstimate
 
 
@@ -249,7 +250,8 @@ def robot_error_row(estimate: NoiseEstimate) -> tuple[str, str]:
         if candidate.probability >= 0.005
     )
     name = _model_with_description(estimate.name)
-    return "errors of the robot", f"{name}; probabilities: {probabilities}"
+    about = ", about the errors of its type" if isinstance(estimate.field, ErrorsOfType) else ""
+    return "errors of the robot", f"{name}{about}; probabilities: {probabilities}"
 
 
 MODEL_DESCRIPTIONS = {

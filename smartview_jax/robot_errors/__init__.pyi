@@ -5,6 +5,10 @@ from .arm_errors import JointOffsets as JointOffsets
 from .arm_errors import JointRatios as JointRatios
 from .arm_errors import nominal_arm as nominal_arm
 from .combined import CombinedField as CombinedField
+from .common_errors import COMMON_ERROR as COMMON_ERROR
+from .common_errors import CommonErrors as CommonErrors
+from .common_errors import ErrorsOfType as ErrorsOfType
+from .common_errors import arm_parameters as arm_parameters
 from .field import AbstractField as AbstractField
 from .field import AbstractLinearField as AbstractLinearField
 from .field import AbstractPreparedField as AbstractPreparedField

@@ -37,6 +37,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from .arm_errors import AbstractArmErrors
+from .common_errors import COMMON_ERROR, CommonErrors, ErrorsOfType
 from .field import AbstractField
 
 _GROUP_MEDIANS: Mapping[str, float] = MappingProxyType(
@@ -78,6 +80,10 @@ _PER_SQUARE_METRE_GROUPS = frozenset({"translation_by_square", "rotation_by_squa
 """Groups whose medians are per square metre."""
 
 
+KNOWN_GEOMETRIC_STD = 1.01
+"""Exp of the standard deviation of the logarithm of a standard deviation that is known."""
+
+
 @dataclasses.dataclass(frozen=True)
 class RobotPrior:
     """The log-normal priors on the standard deviations of a robot's errors.
@@ -114,6 +120,8 @@ class RobotPrior:
             that it does not name, the odds for any robot.
         geometric_std_by_name: exp of the standard deviation of the logarithm, of `"translation"`,
             `"rotation"` and groups by name, where it differs from the values above.
+        common_errors: errors that all robots of the type have in common; the standard deviations
+            above are then about these. None for a robot of any type, whose errors have mean zero.
     """
 
     translation_median: float = 5e-5
@@ -136,6 +144,7 @@ class RobotPrior:
     directional_geometric_std: float = float(np.exp(0.5))
     model_odds: Mapping[str, float] = dataclasses.field(default_factory=dict)
     geometric_std_by_name: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    common_errors: CommonErrors | None = None
 
     def __post_init__(self) -> None:
         positive = (
@@ -189,6 +198,16 @@ class RobotPrior:
         """Return the state to pickle: Python cannot pickle a read-only view of a dictionary."""
         return vars(self) | {"group_medians": dict(self.group_medians)}
 
+    def about_type(self, field: AbstractField | None) -> AbstractField | None:
+        """Return a field about the errors of the type; other fields than an arm's stay as they are.
+
+        Raises:
+            ValueError: the field is of another nominal arm than the common errors.
+        """
+        if self.common_errors is None or not isinstance(field, AbstractArmErrors):
+            return field
+        return field if isinstance(field, ErrorsOfType) else self.common_errors.about(field)
+
     @property
     def target_is_flat(self) -> bool:
         """Whether flat targets are exactly flat, and printed without any distortion."""
@@ -201,7 +220,9 @@ class RobotPrior:
         # A coefficient of a position-dependent group is the error at the field's reference length,
         # hence median per metre times reference length.
         group_medians = [
-            self.group_medians.get(name, self.other_group_median)
+            1.0
+            if name == COMMON_ERROR
+            else self.group_medians.get(name, self.other_group_median)
             * reference_length ** _length_power(name)
             for name, _ in groups
         ]
@@ -219,6 +240,8 @@ class RobotPrior:
         Args:
             name: `"translation"`, `"rotation"` or the name of a group.
         """
+        if name == COMMON_ERROR:
+            return KNOWN_GEOMETRIC_STD
         if name in self.geometric_std_by_name:
             return self.geometric_std_by_name[name]
         if name in ("translation", "rotation"):

@@ -11,6 +11,7 @@ from ..robots import SerialArm, arm_from_dict, arm_to_dict
 from ..runtime.array_namespace import as_float_array
 from .arm_errors import DHErrors, ElasticDHErrors, JointOffsets, JointRatios
 from .combined import CombinedField
+from .common_errors import ErrorsOfType
 from .field import AbstractField
 from .generic_six_axis_arm import GenericSixAxisArm
 from .linear_fields import LinearInPose, LinearInPosition, QuadraticInPosition, SmoothInPose
@@ -29,6 +30,7 @@ FIELDS: dict[str, type[AbstractField]] = {
     "elastic_dh": ElasticDHErrors,
     "scale_error": ScaleError,
     "combined": CombinedField,
+    "errors_of_type": ErrorsOfType,
 }
 
 OLD_NAMES = {"implied_arm": "six_axis_arm", "stretched": "scale_error"}

@@ -1,4 +1,5 @@
 from .arm_scenes import ArmScene as ArmScene
+from .arm_scenes import random_kinematic_errors as random_kinematic_errors
 from .arm_scenes import six_axis_scene as six_axis_scene
 from .cell.driver_cell import DriverCell as DriverCell
 from .cell.fixtures import Bin as Bin

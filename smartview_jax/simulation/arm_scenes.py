@@ -98,6 +98,7 @@ def six_axis_scene(
     *,
     warp_range: tuple[float, float] = WARP_RANGE,
     error_sigma: Mapping[str, float] = KINEMATIC_ERROR_SIGMA,
+    arm_error: RobotError | None = None,
     **noise: float,
 ) -> ArmScene:
     """Return random views of a board of 12 x 9 points, 30 mm apart, by a 1056 px camera on an arm.
@@ -109,6 +110,7 @@ def six_axis_scene(
         error_scale: errors of the arm, as multiples of `error_sigma`.
         warp_range: smallest and largest deviation of the board from its plane, m.
         error_sigma: standard deviations of the arm's errors, by the groups of `DHErrors`.
+        arm_error: the arm's errors, of the arm `robots.six_axes`; by default they are random.
         noise: the fields of `ArmNoise`.
 
     Raises:
@@ -117,7 +119,9 @@ def six_axis_scene(
     sizes = ArmNoise(**noise)
     rng = np.random.default_rng((seed, 3))
     arm, board = six_axes(), board_points()
-    error = random_kinematic_errors(arm, rng, error_scale, error_sigma)
+    # The random numbers are drawn in any case, so that a seed gives the same views.
+    drawn = random_kinematic_errors(arm, rng, error_scale, error_sigma)
+    error = drawn if arm_error is None else arm_error
     truth = dataclasses.replace(true_calibration(), robot_error=error)
     warped_board = board + _random_warp(board, rng.uniform(*warp_range), rng)
     camera_poses = random_viewpoints(

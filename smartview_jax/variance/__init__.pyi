@@ -20,12 +20,14 @@ from .pose_variances import LikeliestVariances as LikeliestVariances
 from .pose_variances import LinearPairs as LinearPairs
 from .pose_variances import LogNormalPriors as LogNormalPriors
 from .pose_variances import Poses as Poses
+from .pose_variances import averaged_covariance as averaged_covariance
 from .pose_variances import likeliest_variances as likeliest_variances
 from .pose_variances import linear_pairs as linear_pairs
 from .pose_variances import moved_transforms as moved_transforms
 from .pose_variances import pose_differences as pose_differences
 from .rig_noise import RigNoiseEstimate as RigNoiseEstimate
 from .rig_noise import estimate_rig_noise as estimate_rig_noise
+from .robot_evidence import ErrorsOfRobot as ErrorsOfRobot
 from .robot_evidence import RobotEvidence as RobotEvidence
 from .robot_evidence import SizesOfErrors as SizesOfErrors
 from .tracker_drift import UNIT_SCALE as UNIT_SCALE

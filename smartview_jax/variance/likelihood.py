@@ -145,6 +145,71 @@ class LinearisedViews(NamedTuple):
             group_index=np.where(held, -1, views.group_index),
         )
 
+    def about_common(
+        self,
+        coefficients: Int[np.ndarray, "coefficients"],
+        mean: Float[np.ndarray, "coefficients"],
+        root: Float[np.ndarray, "coefficients uncertain"],
+    ) -> "LinearisedViews":
+        """Return the views with prior means of some parameters, known to a covariance `R R^T`.
+
+        The parameters are mean + R u + e. Those with the given indices become e, and the u, with a
+        known prior of variance one, come last.
+
+        Args:
+            coefficients: indices of the parameters.
+            mean: their prior means.
+            root: a matrix R.
+        """
+        matrix, gradient, count = self.matrix, self.gradient, root.shape[1]
+        shared, offset = np.asarray(self.offset_from_prior.shared), np.zeros(count)
+        # The linearisation stays where it is, with u = 0.
+        shifted = shared.copy()
+        shifted[coefficients] -= mean
+        by_common = np.zeros((len(shared), count))
+        by_common[coefficients] = root
+        whole = np.concatenate([np.eye(len(shared)), by_common], axis=1)
+        return self._replace(
+            matrix=with_fields(
+                matrix, shared=whole.T @ matrix.shared @ whole, border=matrix.border @ whole
+            ),
+            gradient=Step(gradient.shared @ whole, gradient.per_view),
+            offset_from_prior=Step(
+                np.append(shifted, offset),  # pyright: ignore[reportArgumentType]
+                self.offset_from_prior.per_view,
+            ),
+            known_weight=np.append(self.known_weight, np.ones(count)),
+            group_index=np.append(self.group_index, np.full(count, -1)),
+        )
+
+    def without_common(
+        self,
+        coefficients: Int[np.ndarray, "coefficients"],
+        common: Int[np.ndarray, "uncertain"],
+        mean: Float[np.ndarray, "coefficients"],
+        root: Float[np.ndarray, "coefficients uncertain"],
+    ) -> "LinearisedViews":
+        """Return the views with the whole parameters about zero; the reverse of `about_common`.
+
+        Args:
+            coefficients, mean, root: as of `about_common`.
+            common: indices of the u.
+        """
+        offset = np.array(self.offset_from_prior.shared)
+        offset[coefficients] += mean + root @ offset[common]
+        kept = np.setdiff1d(np.arange(len(offset)), common)
+        matrix, index = self.matrix, self.group_index[kept]
+        removed = self.group_index[common][:1]
+        return self._replace(
+            matrix=with_fields(
+                matrix, shared=matrix.shared[np.ix_(kept, kept)], border=matrix.border[:, :, kept]
+            ),
+            gradient=Step(self.gradient.shared[kept], self.gradient.per_view),
+            offset_from_prior=Step(offset[kept], self.offset_from_prior.per_view),
+            known_weight=self.known_weight[kept],
+            group_index=index - (index > removed) if len(removed) else index,
+        )
+
     def lower_bounds(self, component_count: int) -> Float[AnyArray, "kinds"]:
         """Return all lower bounds, in the order of `StandardDeviations.vector`."""
         xp = array_namespace(self.white_sigma)

@@ -80,14 +80,12 @@ class ModelComparison(NamedTuple):
     @property
     def evidence(self) -> RobotEvidence:
         """The views as evidence on the sizes of the robot's errors."""
-        return RobotEvidence(
+        return RobotEvidence.of(
             jax.tree.map(np.asarray, self.linearised),
-            self.views.group_names,
+            self.built.shared_names,
             self.models,
             self.basis,
-            self.views.shape,
-            self.views.initial_sigma,
-            self.views.has_white_noise,
+            self.views,
         )
 
 
@@ -110,6 +108,7 @@ class RequestedModels(NamedTuple):
     ) -> "RequestedModels":
         """Return the models for a data set with a number of usable views."""
         basis = encompassing_field(data, view_count) if field == "auto" else field
+        basis = prior.about_type(basis)
         return cls(field, basis, candidate_models(field, basis, prior.model_odds))
 
     @property

@@ -29,9 +29,11 @@ from ..calibration import TargetShape
 from ..dataset import Dataset, Rig
 from ..engine import TARGET_SCALE, is_size
 from ..robot_errors import (
+    COMMON_ERROR,
     AbstractField,
     CombinedField,
     ElasticDHErrors,
+    ErrorsOfType,
     FieldChoice,
     GenericSixAxisArm,
     LinearInPose,
@@ -185,6 +187,8 @@ def _models_of_any_robot(
     white = {WHITE_NOISE: Candidate(frozenset(), float(np.log(WHITE_NOISE_ODDS)))}
     if basis is None:
         return white
+    # The models are of what a robot deviates from its type.
+    basis = basis.errors if isinstance(basis, ErrorsOfType) else basis
     if requested != "auto":
         return white | {field_name(basis): Candidate(_group_names(basis), 0.0)}
     linear, arm = _split_basis(basis)
@@ -224,8 +228,9 @@ def fit_candidates(
         # The probability is zero only if no size is tested.
         size_log_odds = len(free_sizes) * np.log(size_odds) if free_sizes else 0.0
         for name, model in models.items():
-            # The target's shape is in all models: its size is estimated, not selected.
-            model_groups = model.groups | {*SHAPE_GROUPS, *free_sizes}
+            # The target's shape is in all models: its size is estimated, not selected. What a
+            # type of robot has in common is in all models of its robots.
+            model_groups = model.groups | {*SHAPE_GROUPS, COMMON_ERROR, *free_sizes}
             names.append(ModelName(name, free_sizes))
             log_odds.append(model.log_odds + size_log_odds)
             masks.append(np.array([True, True, *(group in model_groups for group in groups)]))
@@ -343,7 +348,7 @@ def smallest_sufficient_field(
 ) -> AbstractField | None:
     """Return the smallest part of the basis that contains the models; None for white noise."""
     groups = frozenset().union(*(models[name].groups for name in names))
-    if basis is None or not groups:
+    if basis is None or not (groups or isinstance(basis, ErrorsOfType)):
         return None
     linear, arm = _split_basis(basis)
     if arm is None or not groups & _group_names(arm):

@@ -25,6 +25,13 @@ SMALLEST_PART = 1e-3
 DEVIANCE_TOLERANCE = 1e-13
 """Relative change of the deviance that ends the search: variances are then found to 1e-5."""
 
+SIZE_DRAWS = 256
+"""Number of draws of the sizes of noises over which a covariance is averaged."""
+
+PROPOSAL_WIDTH, PROPOSAL_FREEDOM = 1.3, 5.0
+"""Width of the distribution of the draws, in standard deviations by the information on the sizes,
+and its degrees of freedom: its tails are wider than the posterior's."""
+
 DepthAxis = Literal["none", "sight", "optical"]
 """Axis of a tracker's noise in depth: the line of sight, as of a marker in pictures, or the optical
 axis, as of a sensor that measures depth apart from the other coordinates; none, as of a motion
@@ -216,47 +223,9 @@ def likeliest_variances(
         start: variances from which the search begins.
         priors: on the noises; flat ones by default.
     """
-    # Of the unknowns only the space that they span matters.
-    lengths = np.linalg.norm(pairs.by_unknowns, axis=(0, 1))
-    columns = pairs.by_unknowns / np.maximum(lengths, np.finfo(float).tiny)
-    # In rows of numbers sums over the pairs are products of matrices, which take a fraction of the
-    # time that NumPy's sums of products do.
-    rows, flat_parts = columns.reshape(-1, len(lengths)), pairs.parts.reshape(len(start), -1)
-
-    def deviance(logarithms: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return -2 log of the restricted likelihood, and its slopes by log variances."""
-        covariance = (np.exp(logarithms) @ flat_parts).reshape(pairs.parts.shape[1:])
-        information = np.linalg.inv(covariance)
-        weighted = information @ columns
-        weighted_rows = weighted.reshape(rows.shape)
-        normal = rows.T @ weighted_rows
-        # An unknown that no motion tells has no likelihood to integrate.
-        values, vectors = np.linalg.eigh(normal)
-        told = values > 1e-12 * values[-1]
-        inverse = (vectors[:, told] / values[told]) @ vectors[:, told].T
-        step = inverse @ (pairs.errors.ravel() @ weighted_rows)
-        residuals = pairs.errors - (rows @ step).reshape(pairs.errors.shape)
-        whitened = (information @ residuals[..., None])[..., 0]
-        value = (
-            np.linalg.slogdet(covariance)[1].sum()
-            + np.log(values[told]).sum()
-            + np.sum(residuals * whitened)
-        )
-        # By each part V: tr(P V) - r' W V W r, with W = S^-1 and P = W - W J (J' W J)^-1 J' W.
-        projected = information - (weighted_rows @ inverse).reshape(
-            weighted.shape
-        ) @ weighted.swapaxes(1, 2)
-        by_covariance = projected - whitened[:, :, None] * whitened[:, None]
-        slopes = np.exp(logarithms) * (flat_parts @ by_covariance.ravel())
-        if priors is not None:
-            misses = (priors.powers @ (0.5 * logarithms) - priors.means) / priors.stds
-            value += np.sum(misses**2) + 2.0 * np.log(priors.stds).sum()
-            slopes += priors.powers.T @ (misses / priors.stds)
-        return float(value), slopes
-
-    widest = -2.0 * np.log(SMALLEST_PART)
+    deviance, widest = _Deviance(pairs, priors), -2.0 * np.log(SMALLEST_PART)
     optimum = minimize(
-        deviance,
+        deviance.with_slopes,
         np.log(start),
         jac=True,
         method="L-BFGS-B",
@@ -264,6 +233,109 @@ def likeliest_variances(
         options={"ftol": DEVIANCE_TOLERANCE},
     )
     return LikeliestVariances(np.exp(optimum.x), float(optimum.fun), pairs, priors)
+
+
+def averaged_covariance(
+    likeliest: LikeliestVariances,
+) -> Float[np.ndarray, "unknowns unknowns"]:
+    """Return the covariance of the unknowns about their likeliest values, over all sizes of noises.
+
+    A few pairs do not tell the sizes. The covariance is the mean of the covariances at each size,
+    by its posterior probability, plus the scatter of the estimates at these sizes (law of total
+    covariance). Where the sizes are well known, it is the covariance at the likeliest ones.
+
+    Args:
+        likeliest: the likeliest sizes, with proper priors.
+    """
+    deviance, count = _Deviance(likeliest.pairs, likeliest.priors), len(likeliest.variances)
+    # Importance sampling from a Student distribution about the likeliest logarithms, wider than
+    # the normal one of their information. Each draw has its mirror image.
+    random, freedom = np.random.default_rng(0), PROPOSAL_FREEDOM
+    normal = random.standard_normal((SIZE_DRAWS // 2, count))
+    drawn = normal / np.sqrt(random.chisquare(freedom, (SIZE_DRAWS // 2, 1)) / freedom)
+    drawn = np.concatenate([drawn, -drawn])
+    root = np.linalg.cholesky(np.linalg.inv(likeliest.information))
+    centre, widest = np.log(likeliest.variances), -2.0 * np.log(SMALLEST_PART)
+    logarithms = centre + 2.0 * PROPOSAL_WIDTH * drawn @ root.T
+    possible = (np.abs(logarithms) <= widest).all(axis=1)
+    logarithms, drawn = logarithms[possible], drawn[possible]
+    solutions = [deviance.solution(drawing) for drawing in (centre, *logarithms)]
+    values, steps, covariances = (np.array(part) for part in zip(*solutions, strict=True))
+    log_proposal = -0.5 * (freedom + count) * np.log1p(np.sum(drawn**2, axis=1) / freedom)
+    log_weights = -0.5 * (values[1:] - values[0]) - log_proposal
+    weights = np.exp(log_weights - log_weights.max(initial=-np.inf))
+    if not weights.sum() > 0.0:
+        return covariances[0]
+    weights /= weights.sum()
+    scatter = steps[1:] - steps[0]
+    return np.tensordot(weights, covariances[1:], 1) + scatter.T @ (weights[:, None] * scatter)
+
+
+class _Deviance:
+    """-2 log of the restricted likelihood times the prior, of the logarithms of variances."""
+
+    def __init__(self, pairs: LinearPairs, priors: LogNormalPriors | None):
+        self._pairs, self._priors = pairs, priors
+        # Of the unknowns only the space that they span matters.
+        lengths = np.linalg.norm(pairs.by_unknowns, axis=(0, 1))
+        self._lengths = np.maximum(lengths, np.finfo(float).tiny)
+        self._columns = pairs.by_unknowns / self._lengths
+        # In rows of numbers sums over the pairs are products of matrices, which take a fraction of
+        # the time that NumPy's sums of products do.
+        self._rows = self._columns.reshape(-1, len(lengths))
+        self._flat_parts = pairs.parts.reshape(len(pairs.parts), -1)
+
+    def with_slopes(self, logarithms: Float[np.ndarray, "parts"]) -> tuple[float, np.ndarray]:
+        """Return the deviance, and its slopes by log variances."""
+        value, inverse, _, (information, weighted, whitened) = self._solved(logarithms)
+        # By each part V: tr(P V) - r' W V W r, with W = S^-1 and P = W - W J (J' W J)^-1 J' W.
+        projected = information - (weighted.reshape(self._rows.shape) @ inverse).reshape(
+            weighted.shape
+        ) @ weighted.swapaxes(1, 2)
+        by_covariance = projected - whitened[:, :, None] * whitened[:, None]
+        slopes = np.exp(logarithms) * (self._flat_parts @ by_covariance.ravel())
+        if self._priors is not None:
+            slopes += self._priors.powers.T @ (self._misses(logarithms) / self._priors.stds)
+        return value, slopes
+
+    def solution(
+        self, logarithms: Float[np.ndarray, "parts"]
+    ) -> tuple[float, Float[np.ndarray, "unknowns"], Float[np.ndarray, "unknowns unknowns"]]:
+        """Return the deviance, and the best step of the unknowns with its covariance."""
+        value, inverse, step, _ = self._solved(logarithms)
+        return value, step / self._lengths, inverse / np.outer(self._lengths, self._lengths)
+
+    def _solved(
+        self, logarithms: Float[np.ndarray, "parts"]
+    ) -> tuple[float, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Return the deviance, covariance and step of the unknowns, and what the slopes need."""
+        errors = self._pairs.errors
+        covariance = (np.exp(logarithms) @ self._flat_parts).reshape(self._pairs.parts.shape[1:])
+        information = np.linalg.inv(covariance)
+        weighted = information @ self._columns
+        weighted_rows = weighted.reshape(self._rows.shape)
+        normal = self._rows.T @ weighted_rows
+        # An unknown that no motion tells has no likelihood to integrate.
+        values, vectors = np.linalg.eigh(normal)
+        told = values > 1e-12 * values[-1]
+        inverse = (vectors[:, told] / values[told]) @ vectors[:, told].T
+        step = inverse @ (errors.ravel() @ weighted_rows)
+        residuals = errors - (self._rows @ step).reshape(errors.shape)
+        whitened = (information @ residuals[..., None])[..., 0]
+        value = (
+            np.linalg.slogdet(covariance)[1].sum()
+            + np.log(values[told]).sum()
+            + np.sum(residuals * whitened)
+        )
+        if self._priors is not None:
+            misses, stds = self._misses(logarithms), self._priors.stds
+            value += np.sum(misses**2) + 2.0 * np.log(stds).sum()
+        return float(value), inverse, step, (information, weighted, whitened)
+
+    def _misses(self, logarithms: Float[np.ndarray, "parts"]) -> Float[np.ndarray, "priors"]:
+        """Return the differences from the priors' means in their standard deviations."""
+        assert self._priors is not None
+        return (self._priors.powers @ (0.5 * logarithms) - self._priors.means) / self._priors.stds
 
 
 def _information(

@@ -1,15 +1,23 @@
-"""Provide the evidence of one robot's views on the sizes of its errors, apart from any prior."""
+"""Provide the evidence of one robot's views on its errors and their sizes, apart from any prior."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..calibration import TargetShape
-from ..robot_errors import AbstractField, RobotPrior
+from ..engine import ROBOT_ERROR
+from ..robot_errors import (
+    COMMON_ERROR,
+    AbstractArmErrors,
+    AbstractField,
+    CommonErrors,
+    ErrorsOfType,
+    RobotPrior,
+)
 from ..runtime.blas_threads import on_one_blas_thread
-from .likelihood import LinearisedViews
+from .likelihood import LinearisedViews, StandardDeviations, marginalise
 from .model_selection import (
     SHAPE_GROUPS,
     TARGET_GROUPS,
@@ -18,6 +26,13 @@ from .model_selection import (
     initial_standard_deviations,
     standard_deviation_prior,
 )
+from .view_statistics import ViewStatistics
+
+VAGUE_ERROR_FACTOR = 10.0
+"""Standard deviations of errors, in medians of any robot's, about which a likelihood is computed.
+
+The value hardly matters, since the prior is subtracted again.
+"""
 
 
 class SizesOfErrors(NamedTuple):
@@ -31,11 +46,29 @@ class SizesOfErrors(NamedTuple):
         vector: information times most likely sizes.
         log_evidence: logarithm of the evidence of the model, up to a constant that all models of
             the same views have in common.
+        sigmas: standard deviations of all errors at the peak.
     """
 
     information: Float[np.ndarray, "sizes sizes"]
     vector: Float[np.ndarray, "sizes"]
     log_evidence: float
+    sigmas: StandardDeviations | None = None
+
+
+class ErrorsOfRobot(NamedTuple):
+    """The likelihood of the coefficients c of a robot's error field, for given sizes of its noise.
+
+    Up to a constant the log-likelihood is `vector @ c - c @ information @ c / 2`.
+
+    Attributes:
+        information: its information matrix; zero in directions that the views do not determine.
+        vector: information times most likely coefficients.
+        variance: variance of each coefficient about its mean over robots, in the robot's model.
+    """
+
+    information: Float[np.ndarray, "coefficients coefficients"]
+    vector: Float[np.ndarray, "coefficients"]
+    variance: Float[np.ndarray, "coefficients"]
 
 
 class RobotEvidence(NamedTuple):
@@ -43,6 +76,7 @@ class RobotEvidence(NamedTuple):
 
     Attributes:
         views: the views, linearised.
+        names: names of their shared parameters.
         group_names: names of their groups of parameters.
         models: the models of the robot error by name, with their odds for any robot.
         basis: field that contains all models.
@@ -51,12 +85,65 @@ class RobotEvidence(NamedTuple):
     """
 
     views: LinearisedViews
+    names: tuple[str, ...]
     group_names: tuple[str, ...]
     models: Mapping[str, Candidate]
     basis: AbstractField | None
     shape: TargetShape | None
     initial_sigma: float
     has_white_noise: bool
+
+    @classmethod
+    def of(
+        cls,
+        views: LinearisedViews,
+        names: Sequence[str],
+        models: Mapping[str, Candidate],
+        basis: AbstractField | None,
+        statistics: ViewStatistics,
+    ) -> "RobotEvidence":
+        """Return the evidence of linearised views, whose errors may be about a type's mean.
+
+        Args:
+            views: the views, linearised.
+            names: names of their shared parameters.
+            models, basis: as in `RobotEvidence`.
+            statistics: the statistics that were linearised.
+        """
+        group_names = statistics.group_names
+        if isinstance(basis, ErrorsOfType):
+            whole, common = _indices(names, basis.errors.names), _common_indices(names)
+            views = views.without_common(
+                whole, common, np.asarray(basis.mean), np.asarray(basis.root)
+            )
+            names = [name for k, name in enumerate(names) if k not in common]
+            group_names = tuple(name for name in group_names if name != COMMON_ERROR)
+            basis = basis.errors
+        return cls(
+            views,
+            tuple(names),
+            group_names,
+            models,
+            basis,
+            statistics.shape,
+            statistics.initial_sigma,
+            statistics.has_white_noise,
+        )
+
+    @property
+    def arm_errors(self) -> AbstractArmErrors | None:
+        """The field of arm errors whose coefficients mean the same for all robots of a type."""
+        if not isinstance(self.basis, AbstractArmErrors):
+            return None
+        known = {f"{ROBOT_ERROR}.{name}" for name in self.basis.names}
+        return self.basis if known <= {*self.names} else None
+
+    def about(self, common: CommonErrors | None) -> LinearisedViews:
+        """Return the views with the prior means of the errors of a type."""
+        if common is None or self.basis is None:
+            return self.views
+        indices = _indices(self.names, common.names)
+        return self.views.about_common(indices, np.array(common.mean), np.array(common.root))
 
     def groups(self, model: str) -> tuple[str, ...]:
         """Return the names of the groups of a model, in the order of `sizes`."""
@@ -77,7 +164,9 @@ class RobotEvidence(NamedTuple):
         active_names = {*groups, *SHAPE_GROUPS}
         active = np.array([True, True, *(name in active_names for name in self.group_names)])
         initial = initial_standard_deviations(deviations, self.initial_sigma)
-        fits = fit_good_or_weak_robot(self.views, initial, active[None], deviations)
+        fits = fit_good_or_weak_robot(
+            self.about(prior.common_errors), initial, active[None], deviations
+        )
         maximum, evidence = fits[0]
 
         # Pixel noise and the target's shape differ between data sets: they are integrated out, by
@@ -99,7 +188,38 @@ class RobotEvidence(NamedTuple):
         values, vectors = np.linalg.eigh(marginal)
         marginal = (vectors * np.maximum(values, 0.0)) @ vectors.T
         units = np.log(self._units(groups))
-        return SizesOfErrors(marginal, marginal @ (log_sizes - units) + gradient, float(evidence))
+        return SizesOfErrors(
+            marginal, marginal @ (log_sizes - units) + gradient, float(evidence), maximum.sigmas
+        )
+
+    @on_one_blas_thread
+    def errors(self, sigmas: StandardDeviations, model: str, general: RobotPrior) -> ErrorsOfRobot:
+        """Return the likelihood of the robot's errors, for given sizes of all errors.
+
+        Args:
+            sigmas: the sizes, as in `SizesOfErrors`.
+            model: name of the model that has them; the errors of its robots in other groups are
+                the mean over robots.
+            general: prior for any robot.
+        """
+        errors = self.arm_errors
+        assert errors is not None
+        vague = VAGUE_ERROR_FACTOR * general.medians(errors)[2:]
+        group_names = [name for name, _ in errors.groups]
+        places = [self.group_names.index(name) for name in group_names]
+        field = np.array(sigmas.field, dtype=float)
+        own = np.where([name in self.groups(model) for name in group_names], field[places], 0.0)
+        field[places] = vague
+        marginal = marginalise(self.views, sigmas._replace(field=field))
+        indices = _indices(self.names, errors.names)
+        # (A + W)^-1 is the posterior's covariance for the likelihood's information A, and the
+        # vague prior's W.
+        information = np.linalg.inv(marginal.shared_covariance[np.ix_(indices, indices)])
+        coefficients = self.views.offset_from_prior.shared + marginal.step.shared
+        vector = information @ coefficients[indices]
+        sizes = [size for _, size in errors.groups]
+        information = information - np.diag(np.repeat(vague**-2.0, sizes))
+        return ErrorsOfRobot(information, vector, np.repeat(own**2, sizes))
 
     def _units(self, groups: tuple[str, ...]) -> Float[np.ndarray, "sizes"]:
         """Return the standard deviations of coefficients per unit of `RobotPrior.group_medians`."""
@@ -109,3 +229,14 @@ class RobotEvidence(NamedTuple):
         names = [name for name, _ in self.basis.groups]
         ones = RobotPrior(1.0, 1.0, dict.fromkeys(names, 1.0)).medians(self.basis)
         return ones[[0, 1, *(2 + names.index(name) for name in groups)]]
+
+
+def _indices(names: Sequence[str], coefficients: Sequence[str]) -> Int[np.ndarray, "coefficients"]:
+    """Return the indices of an error field's coefficients among the names of parameters."""
+    return np.array([names.index(f"{ROBOT_ERROR}.{name}") for name in coefficients], dtype=int)
+
+
+def _common_indices(names: Sequence[str]) -> Int[np.ndarray, "uncertain"]:
+    """Return the indices of what is uncertain of the errors that a type has in common."""
+    prefix = f"{ROBOT_ERROR}.{COMMON_ERROR}."
+    return np.array([k for k, name in enumerate(names) if name.startswith(prefix)], dtype=int)

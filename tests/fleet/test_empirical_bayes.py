@@ -2,14 +2,18 @@
 
 import pickle
 
+import equinox as eqx
 import numpy as np
 import pytest
 from fit_scenes import scene_of
 
-from smartview_jax import fit_joint, fleet_prior
+from smartview_jax import fit_joint, fleet_prior, load_estimate
 from smartview_jax.fleet.empirical_bayes import _common_sizes, _shares
-from smartview_jax.robot_errors import RobotPrior
-from smartview_jax.simulation import six_axis_scene
+from smartview_jax.joint import parameter_estimates
+from smartview_jax.robot_errors import RobotError, RobotPrior
+from smartview_jax.robots import six_axes
+from smartview_jax.runtime.array_namespace import to_device
+from smartview_jax.simulation import random_kinematic_errors, six_axis_scene
 from smartview_jax.variance import SizesOfErrors
 
 ROBOTS, OUTSIDERS, VIEWS = 9, (2, 7), 5
@@ -17,8 +21,8 @@ ZEROS = float(np.deg2rad(0.1))
 ERRORS = {"joint_offset": ZEROS, "link_length": 1e-6, "link_twist": 1e-6}
 
 
-def fit_of(number, scale=1.0, prior=None):
-    """A robot's fit, begun at the truth: only the sizes of its errors matter here."""
+def scene_of_robot(number, scale=1.0, arm_error=None):
+    """Five views of a flat board by a robot."""
     scene = six_axis_scene(
         number,
         VIEWS,
@@ -26,7 +30,14 @@ def fit_of(number, scale=1.0, prior=None):
         error_scale=scale,
         error_sigma=ERRORS,
         warp_range=(0.0, 0.0),
-    ).with_joint_readings
+        arm_error=arm_error,
+    )
+    return scene.with_joint_readings
+
+
+def fit_of(number, scale=1.0, prior=None, arm_error=None):
+    """A robot's fit, begun at the truth: only its errors matter here."""
+    scene = scene_of_robot(number, scale, arm_error)
     start = scene.calibration.uncorrected
     return fit_joint(scene.data, start, lens="opencv4", gross_errors="keep", robot_prior=prior)
 
@@ -51,6 +62,67 @@ def test_the_type_is_found_and_the_next_robot_gains(fits):
     assert prior.model in ("joint_offsets", "dh")
     assert pickle.loads(pickle.dumps(prior)) == prior
     assert white_noise_alone(fit_of(ROBOTS, 1.0, prior)) < 0.5 * white_noise_alone(fit_of(ROBOTS))
+
+
+TYPE_ZEROS = np.deg2rad([0.0, 0.3, -0.2, 0.25, -0.3, 0.0])
+"""Zeros that are wrong in all robots of a type alike."""
+
+
+def error_of(number):
+    """A robot's errors: those of its type, and its own, which are a tenth of these."""
+    own = random_kinematic_errors(six_axes(), np.random.default_rng(number), 0.2, ERRORS)
+    whole = np.array(own.coefficients)
+    whole[:6] += TYPE_ZEROS
+    return RobotError(own.field, to_device(whole))
+
+
+@pytest.fixture(scope="module")
+def of_type():
+    """The prior of a type whose robots have wrong zeros in common, and the next robot's fit."""
+    prior = fleet_prior(fit_of(k, arm_error=error_of(k)) for k in range(5))
+    return prior, fit_of(5, prior=prior, arm_error=error_of(5))
+
+
+def test_the_next_robot_has_the_errors_of_its_type(of_type):
+    prior, fit = of_type
+    mean = prior.common_errors.mean_and_std
+    # The zeros of the first and the last joint are the target's pose and the hand-eye transform.
+    for joint in (2, 3, 4, 5):
+        value, std = mean[f"joint_offset.{joint}"]
+        assert abs(value - TYPE_ZEROS[joint - 1]) < 3.0 * std
+        assert std < 0.5 * abs(TYPE_ZEROS[joint - 1])
+    assert "in common joint_offset.2: 0.005" in str(prior)
+    assert pickle.loads(pickle.dumps(prior)) == prior
+    zeros = np.asarray(fit.calibration.robot_error.whole.coefficients)[1:5]
+    alone = fit_of(5, arm_error=error_of(5)).calibration.robot_error
+    truth = np.asarray(error_of(5).coefficients)[1:5]
+    missed, without = (np.linalg.norm(found - truth) for found in (zeros, alone.coefficients[1:5]))
+    assert missed < 0.7 * without
+    assert missed < 0.2 * np.linalg.norm(truth)
+
+
+def test_a_fit_about_its_type_is_printed_and_read_again(of_type, tmp_path):
+    _, fit = of_type
+    fit.save(tmp_path / "calibration.yaml")
+    again = load_estimate(tmp_path / "calibration.yaml")
+    assert eqx.tree_equal(again.calibration.robot_error, fit.calibration.robot_error)
+    assert again.parameter_names == fit.parameter_names
+    estimates = {estimate.name: estimate for estimate in parameter_estimates(fit)}
+    zero = estimates["robot_error.joint_offset.2"]
+    # The whole error, in degrees, not what the robot deviates from its type.
+    assert zero.value == pytest.approx(0.3, abs=0.1)
+    assert abs(zero.value - np.rad2deg(error_of(5).coefficients[1])) < 2.0 * zero.half_width
+    assert not any("common_error" in name for name in estimates)
+
+
+def test_robots_of_a_type_are_known_by_fits_about_it(of_type):
+    """What views say does not depend on the prior of their fit."""
+    prior, fit = of_type
+    evidence = fit.noise_estimate.robot_evidence
+    about_zero = fit_of(5, arm_error=error_of(5)).noise_estimate.robot_evidence
+    assert evidence.names == about_zero.names
+    found, expected = (e.sizes(prior.model, prior) for e in (evidence, about_zero))
+    np.testing.assert_allclose(found.sigmas.vector[:3], expected.sigmas.vector[:3], rtol=0.05)
 
 
 def test_fits_without_anything_in_common_are_named(fits):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from scipy.linalg import block_diag
 from tracked_scene import MOUNT, ROBOT, WORLD, data_of, turned
 
@@ -10,6 +11,7 @@ from smartview_jax.geometry import host_exponentials
 from smartview_jax.variance import (
     LinearPairs,
     LogNormalPriors,
+    averaged_covariance,
     likeliest_variances,
     linear_pairs,
 )
@@ -67,6 +69,42 @@ def test_a_prior_decides_where_pairs_do_not():
     prior = LogNormalPriors(np.array([[1.0, -1.0]]), np.log([10.0]), np.array([0.1]))
     first, second = likeliest_variances(twice, np.ones(2), prior).variances
     assert np.sqrt(first / second) == pytest.approx(10.0, rel=0.01)
+
+
+def one_noise_of(views, prior_std):
+    """Pairs with one noise of unknown size, and its likeliest size with a prior about one."""
+    pairs = pairs_of(data_of(0, views=views))
+    parts = np.tile(1e-6 * np.eye(6), (1, views, 1, 1))
+    one = LinearPairs(pairs.errors, pairs.by_unknowns, parts)
+    prior = LogNormalPriors(np.eye(1), np.zeros(1), np.array([prior_std]))
+    return one, likeliest_variances(one, np.ones(1), prior)
+
+
+def test_few_pairs_have_the_covariance_of_all_sizes_of_the_noise():
+    """The mean of the variance by its posterior, integrated by SciPy; the best step is the same."""
+    one, found = one_noise_of(4, 2.0)
+    columns, errors = one.by_unknowns.reshape(-1, 12), one.errors.ravel()
+    rest = errors - columns @ np.linalg.lstsq(columns, errors, rcond=None)[0]
+    squares, freedom = rest @ rest / 1e-6, 4 * 6 - 12
+
+    def density(log_std):
+        return np.exp(
+            -freedom * log_std - 0.5 * squares * np.exp(-2.0 * log_std) - 0.5 * (log_std / 2.0) ** 2
+        )
+
+    bounds = -4.0, 6.0
+    total = quad(density, *bounds, epsabs=0.0)[0]
+    mean = quad(lambda x: density(x) * np.exp(2.0 * x), *bounds, epsabs=0.0)[0] / total
+    averaged = averaged_covariance(found)
+    expected = mean * one.inverse(np.ones(1))
+    np.testing.assert_allclose(averaged, expected, rtol=0.05, atol=1e-3 * expected.max())
+    assert mean > 1.1 * found.variances[0]
+
+
+def test_known_sizes_of_the_noise_add_nothing_to_the_covariance():
+    one, found = one_noise_of(16, 1e-3)
+    expected = one.inverse(found.variances)
+    np.testing.assert_allclose(averaged_covariance(found), expected, rtol=1e-3)
 
 
 def test_the_information_is_the_curvature_of_the_likelihood():
