@@ -123,7 +123,7 @@ def find_shared_fault(
         return best
     # A lens that zoomed once is told from which view on.
     zoomed = (fault for _, fault in faults if fault.may_be_zoom)
-    return next(zoomed, SharedFault(focus.sentence, False, True))
+    return next(zoomed, SharedFault(focus.sentence(poses.view_ids), False, True))
 
 
 def _score_of_all(poses: RobotAndCamera, used: Bool[np.ndarray, "views"]) -> float:

@@ -7,15 +7,20 @@ alike in all directions, or along an axis of its base as a worn lift does. So th
 fitted with errors of each kind (`position_equations.py`), and the kinds compared by Schwarz's
 criterion. Points in pictures tell the distance less well than the direction, by an amount that
 follows from their noise and is part of each kind.
+
+Where single pictures explain the errors better than a change in all of them, as a picture that was
+zoomed, cropped or taken by another camera, these views are named.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.optimize import minimize
 
+from ..argument_checks import listed
 from ..calibration import mount_frames
 from .largest_group import MAX_DISAGREEMENT, largest_group
 from .misfit_evidence import MIN_VARIANCE, VERY_STRONG_EVIDENCE
@@ -32,6 +37,9 @@ MIN_SIZE = 1e-3
 It moves the target by half a millimetre at half a metre, which no good robot errs by.
 """
 
+MAX_LISTED = 5
+"""Largest number of views with another focal length that a sentence lists."""
+
 
 class FocusChange(NamedTuple):
     """Changes of the focal length between the pictures.
@@ -39,15 +47,36 @@ class FocusChange(NamedTuple):
     Attributes:
         relative_std: standard deviation of the focal length, over its mean.
         along, across: standard deviations of the errors along the optical axis and across it, m.
+        views: indices of the only views with another focal length; empty if it changes in all.
+        ratios: their focal lengths over the other views'.
     """
 
     relative_std: float
     along: float
     across: float
+    views: tuple[int, ...] = ()
+    ratios: tuple[float, ...] = ()
 
-    @property
-    def sentence(self) -> str:
-        """The fault of the pictures in words, and what to do."""
+    def sentence(self, view_ids: Sequence[str]) -> str:
+        """Return the fault of the pictures in words, and what to do.
+
+        Args:
+            view_ids: names of all views.
+        """
+        if self.views:
+            names = [
+                f"{view_ids[view]} ({100.0 * (ratio - 1.0):+.2g} %)"
+                for view, ratio in zip(self.views, self.ratios, strict=True)
+            ]
+            several = len(names) > 1
+            return (
+                f"the focal length seems to be another in view{'s' * several} "
+                f"{listed(names, MAX_LISTED)}, as in {'' if several else 'a '}picture"
+                f"{'s' * several} with another zoom or focus, of another camera, or cut and "
+                "resized: without this robot and camera agree to "
+                f"{1e3 * self.across:.2g} mm. Take {'them' if several else 'it'} again, or leave "
+                f"{'them' if several else 'it'} out"
+            )
         return (
             "the focal length seems to change from picture to picture, by "
             f"{100.0 * self.relative_std:.2g} % (standard deviation), as with autofocus, zoom or a "
@@ -161,7 +190,44 @@ def find_focus_change(
     odds = min(alike.deviance - focus.deviance - numbers, rival - focus.deviance)
     if odds < least_gain:
         return None
-    return FocusChange(size, size * median_distance(camera), focus.sigma)
+    change = FocusChange(size, size * median_distance(camera), focus.sigma)
+    return _change_of_single_views(errors, along, views, focus.deviance + numbers) or change
+
+
+def _change_of_single_views(
+    errors: "_Positions",
+    along: Float[np.ndarray, "views 3"],
+    views: Int[np.ndarray, "views"],
+    deviance_to_beat: float,
+) -> FocusChange | None:
+    """Return the change if few views with another focal length explain the errors better; or None.
+
+    Args:
+        errors: positions without any change.
+        along: vector from the camera to the target's depth in each view, m.
+        views: indices of the views among all.
+        deviance_to_beat: of a focal length that changes in all views, with its number's penalty.
+    """
+    count, chosen = len(views), list[int]()
+    # A number for each view, which may be any.
+    penalty = np.log(3.0 * count) + 2.0 * np.log(count)
+    while len(chosen) < MAX_REJECTED_FRACTION * count - 1.0:
+        others = [view for view in range(count) if view not in chosen]
+        chosen.append(
+            min(others, key=lambda view: errors.with_free_views(along, [*chosen, view]).sigma)
+        )
+        explained = errors.with_free_views(along, chosen)
+        fit = explained.likelihood(None)
+        if fit.deviance + len(chosen) * penalty < deviance_to_beat:
+            shares = fit_positions(explained.columns, errors.positions).numbers[-len(chosen) :]
+            order = np.argsort(chosen)
+            # A longer focal length shortens the distance that the picture seems to have.
+            ratios = tuple(float(1.0 - shares[k]) for k in order)
+            relative = float(np.sqrt(np.sum(shares**2) / count))
+            size = relative * float(np.median(along[:, 2]))
+            indices = tuple(int(views[chosen[k]]) for k in order)
+            return FocusChange(relative, size, fit.sigma, indices, ratios)
+    return None
 
 
 class _Likelihood(NamedTuple):
@@ -190,6 +256,14 @@ class _Positions(NamedTuple):
     columns: Float[np.ndarray, "views 3 numbers"]
     positions: Float[np.ndarray, "views 3"]
     noise: Float[np.ndarray, "views 3"]
+
+    def with_free_views(
+        self, vectors: Float[np.ndarray, "views 3"], free: list[int]
+    ) -> "_Positions":
+        """Return positions of which some also move along their vectors, each by another number."""
+        columns = np.zeros((len(vectors), 3, len(free)))
+        columns[free, :, np.arange(len(free))] = vectors[free]
+        return self._replace(columns=np.concatenate([self.columns, columns], axis=2))
 
     @property
     def sigma(self) -> float:

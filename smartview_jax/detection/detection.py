@@ -15,6 +15,7 @@ class Detection(NamedTuple):
         reason: the reason why nothing was found; None if any point was found.
         noise: standard deviation of the points as measured by `plausibility`, px; 0 if not tested.
         left_out: number of points that were found but failed the test of `plausibility`.
+        edge_width: width of the target's edges in the picture, px; None if not measured.
     """
 
     pixels: Float[np.ndarray, "points 2"]
@@ -22,6 +23,7 @@ class Detection(NamedTuple):
     reason: str | None
     noise: float = 0.0
     left_out: int = 0
+    edge_width: float | None = None
 
 
 def full_detection(pixels: np.ndarray) -> Detection:

@@ -25,3 +25,4 @@ from .picture_evidence import picture_evidence as picture_evidence
 from .picture_scale import STANDARD_WIDTH as STANDARD_WIDTH
 from .picture_scale import edge_width as edge_width
 from .picture_scale import scaled_camera as scaled_camera
+from .target_edges import target_edge_width as target_edge_width

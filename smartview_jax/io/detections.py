@@ -1,8 +1,8 @@
 """Read and write `detections.csv`: detected target points in pixels (view, point, u_px, v_px).
 
 If the points were detected in pictures, the last column holds a key of everything that a view's
-detection depends on, so that detection is repeated only if something has changed. The reason why
-nothing was found in a view is kept in a comment at the end of the file.
+detection depends on, so that detection is repeated only if something has changed. Comments at the
+end of the file keep what else is known of a view, such as the reason why nothing was found.
 """
 
 import json
@@ -71,14 +71,15 @@ def write_kept_detections(path: Path, kept: Mapping[str, KeptDetection]) -> None
         # The number of rows reveals a truncated file.
         marked = f"{key}-{np.count_nonzero(detection.visible)}"
         rows += _rows(view, detection.pixels, marked)
-        if detection.reason is not None or detection.left_out:
-            note = {
-                "view": view,
-                "pictures": marked,
-                "reason": detection.reason,
-                "left_out": detection.left_out,
-            }
-            comments.append(json.dumps(note))
+        note = {
+            "view": view,
+            "pictures": marked,
+            "reason": detection.reason,
+            "left_out": detection.left_out,
+            "noise": round(detection.noise, 4),
+            "edge_width": detection.edge_width and round(detection.edge_width, 2),
+        }
+        comments.append(json.dumps(note))
     write_table(path, (*_COLUMNS, _KEY_COLUMN), rows, comments)
 
 
@@ -152,14 +153,17 @@ def read_kept_detections(
             continue
         pixels = values_of_points(path, view_rows, [view], point_count, _COLUMNS[2:])[0]
         visible = np.asarray(np.isfinite(pixels).all(axis=1))
-        reason, left_out = note.get("reason"), note.get("left_out")
         # A note about other pictures, or one that was edited, is ignored.
-        known = note.get("pictures") == marked
+        note = note if note.get("pictures") == marked else {}
+        reason, left_out = note.get("reason"), note.get("left_out")
+        noise, edge_width = note.get("noise"), note.get("edge_width")
         detection = Detection(
             pixels,
             visible,
-            reason if known and isinstance(reason, str) else None,
-            left_out=left_out if known and type(left_out) is int else 0,
+            reason if isinstance(reason, str) else None,
+            noise if isinstance(noise, float) else 0.0,
+            left_out if type(left_out) is int else 0,
+            edge_width if isinstance(edge_width, float) else None,
         )
         kept[view] = KeptDetection(key, detection)
     return kept

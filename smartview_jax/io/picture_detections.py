@@ -19,11 +19,15 @@ from ..detection import (
     picture_bytes,
     read_picture,
 )
+from ..features import target_edge_width
 from ..geometry import PoseLike
 from ..targets import AbstractTarget, StackedTarget
 from .detections import KeptDetection, read_kept_detections, write_kept_detections
 from .folder_pictures import LoadOptions
 from .view_names import is_picture_name
+
+_MEASURED = "edge width"
+"""What is measured beyond the points; kept detections without it are made again."""
 
 _DECIDING_PICTURES = 3
 """Number of pictures of one wrong size after which no more pictures are checked."""
@@ -71,7 +75,7 @@ def detect_views(
     _refuse_missing(pictures)
     image_size = _checked_size(pictures, shown.image_size)
     kept = {} if cache is None else read_kept_detections(cache, list(pictures), len(target.points))
-    common = repr((detection_identity(target), limits, image_size, cv2.__version__))
+    common = repr((detection_identity(target), limits, image_size, cv2.__version__, _MEASURED))
     entries: dict[str, KeptDetection] = {}
     for number, (view, paths) in enumerate(pictures.items(), start=1):
         height = None if shown.board_heights is None else shown.board_heights[view]
@@ -132,7 +136,8 @@ def _detect_view(
     for path, content in zip(paths, contents, strict=True):
         picture = decode_picture(path, content, image_size)
         part = detect(picture.grey, board, limits)
-        parts.append(part)
+        width = target_edge_width(picture.grey, part.pixels[part.visible])
+        parts.append(part._replace(edge_width=width))
         if part.reason:
             reasons.append(f"{part.reason}; {picture.range_in_words}")
     if height is not None and isinstance(target, StackedTarget):
@@ -144,6 +149,7 @@ def _detect_view(
         "; ".join(reasons) or None,
         max(part.noise for part in parts),
         sum(part.left_out for part in parts),
+        max((part.edge_width for part in parts if part.edge_width is not None), default=None),
     )
 
 

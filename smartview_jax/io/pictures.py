@@ -13,6 +13,7 @@ from ..dataset import Dataset
 from ..detection import consistent_ordering, left_out_note, read_picture, shown_instead
 from ..geometry import PoseLike, as_se3, host_matrices
 from ..targets import AbstractTarget, CircleGrid, StackedTarget
+from .blurred_views import blur_notes
 from .folder_pictures import LoadOptions
 from .picture_detections import ShownTarget, detect_views
 
@@ -64,7 +65,7 @@ def dataset_from_pictures(
     _refuse_undetected_rows(pixels, target, next(iter(pictures.values()))[0].parent)
     consistent_pixels, note = _consistent_numbering(pixels, shown, poses, image_size)
     left_out = {view: d.left_out for view, d in detections.items() if d.left_out}
-    notes = (*((note,) if note else ()), *left_out_note(left_out))
+    notes = (*((note,) if note else ()), *left_out_note(left_out), *blur_notes(detections))
     if progress is not None:
         for text in notes:
             progress(text)

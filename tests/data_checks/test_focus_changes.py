@@ -39,7 +39,7 @@ def test_changes_of_the_focal_length_are_named_with_their_size(seed):
     change = found(robot, with_focal_lengths(camera, 1.0 + changes))
     assert change.relative_std == pytest.approx(0.006, rel=0.5)
     assert change.across < 1e-3
-    assert "focal length seems to change" in change.sentence
+    assert "focal length seems to change" in change.sentence([])
 
 
 def test_a_focal_length_that_follows_the_distance_is_named():
@@ -48,6 +48,21 @@ def test_a_focal_length_that_follows_the_distance_is_named():
     change = found(robot, with_focal_lengths(camera, 1.0 + 0.1 * (distance - distance.mean())))
     # The size and the common focal length explain a part.
     assert 0.1 < change.relative_std / (0.1 * distance.std()) < 1.0
+
+
+@pytest.mark.parametrize("ratios", [{4: 1.25}, {0: 0.97}, {3: 1.1, 9: 0.9}])
+def test_single_pictures_with_another_focal_length_are_named(ratios):
+    robot, camera = moving_alike(3)
+    zoomed = camera.copy()
+    for view, ratio in ratios.items():
+        zoomed[view, 2, 3] += (1.0 / ratio - 1.0) * depths(camera)[view]
+    change = found(robot, zoomed)
+    assert change.views == tuple(ratios)
+    np.testing.assert_allclose(change.ratios, list(ratios.values()), atol=0.005)
+    assert change.across < 1e-3
+    (first, *_), named = ratios, change.sentence([f"n{k}" for k in range(VIEWS)])
+    assert f"n{first} ({100.0 * (change.ratios[0] - 1.0):+.2g} %)" in named
+    assert "Switch autofocus off" not in named
 
 
 @pytest.mark.parametrize("noise", [(2e-4, 0.02), (2e-3, 0.2)])
