@@ -6,6 +6,7 @@ import functools
 import numpy as np
 from fit_scenes import scene_with
 from jaxlie import SE3
+from once_a_run import computed_once
 
 from smartview_jax import Noise, Rig, fit_rig
 from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms
@@ -71,12 +72,14 @@ def arms_scene(seed, cameras=("left_table", "right_table"), views=8, moved=0.0, 
     return Rig(data, targets, arms), truths
 
 
-@functools.cache
-def arms_fit(moved=0.0):
+def arms_fit(tmp_path_factory, moved=0.0):
     """The fit of the four cameras in few states, with known lenses and noise."""
-    rig, truths = arms_scene(0, FOUR_CAMERAS, 4, moved)
-    noise = {"left": NOISE, "right": NOISE}
-    return fit_rig(rig, truths, noise=noise, fixed=LENSES)
+
+    def fit():
+        rig, truths = arms_scene(0, FOUR_CAMERAS, 4, moved)
+        return fit_rig(rig, truths, noise={"left": NOISE, "right": NOISE}, fixed=LENSES)
+
+    return computed_once(tmp_path_factory, f"arms_{moved}", fit)
 
 
 def base_error(relative):

@@ -1,9 +1,8 @@
 """Two cameras on an arm with errors, and the fit of both: calibrated once in a run."""
 
 import functools
-import pickle
 
-from once_a_run import made_once
+from once_a_run import computed_once
 
 from smartview_jax import calibrate
 from smartview_jax.simulation import six_axis_rig_scene
@@ -17,10 +16,4 @@ def rig_scene():
 
 def calibrated_rig(tmp_path_factory):
     """The default fit of the scene's rig."""
-    folder = made_once(tmp_path_factory, "rig", _calibrate)
-    return pickle.loads((folder / "fit.pickle").read_bytes())
-
-
-def _calibrate(folder):
-    folder.mkdir()
-    (folder / "fit.pickle").write_bytes(pickle.dumps(calibrate(rig_scene().rig)))
+    return computed_once(tmp_path_factory, "rig", lambda: calibrate(rig_scene().rig))

@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import pickle
 import shutil
 
 
@@ -24,3 +25,20 @@ def made_once(tmp_path_factory, name, make):
             make(folder)
             finished.touch()
     return folder
+
+
+def computed_once(tmp_path_factory, name, compute):
+    """What a function returns when the first test asks for it; the others read it.
+
+    Args:
+        tmp_path_factory: pytest's fixture, whose folder is of this run alone.
+        name: of the result.
+        compute: called without arguments.
+    """
+
+    def make(folder):
+        folder.mkdir()
+        (folder / "result.pickle").write_bytes(pickle.dumps(compute()))
+
+    folder = made_once(tmp_path_factory, name, make)
+    return pickle.loads((folder / "result.pickle").read_bytes())

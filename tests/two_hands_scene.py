@@ -5,9 +5,10 @@ import functools
 import math
 
 import numpy as np
+from once_a_run import computed_once
 from scipy.spatial.transform import Rotation
 
-from smartview_jax import Calibration, Noise, Rig
+from smartview_jax import Calibration, Noise, Rig, fit_rig
 from smartview_jax.geometry import host_exponentials, host_matrices
 from smartview_jax.simulation import random_target_scene, random_two_hand_scene
 from smartview_jax.targets import Chessboard
@@ -20,6 +21,16 @@ TRANSLATION, ROTATION = 1e-4, 2e-4
 
 NOISE = Noise(0.15, math.sqrt(2.0) * TRANSLATION, math.sqrt(2.0) * ROTATION)
 """Noise of the scenes: both arms' errors add up."""
+
+ONE_ARM = Noise(0.15, TRANSLATION, ROTATION)
+"""Noise of a camera that sees one arm."""
+
+KNOWN = {
+    "noise": {"right": ONE_ARM, "left+right": NOISE},
+    "field": None,
+    "fixed": ("wrist.camera", "fixed.camera"),
+}
+"""Known cameras and noise of a rig: SciPy's reference has a few numbers less."""
 
 TRANSFORMS = ("camera_from_tool", "other_tool_from_world", "base_from_other_base")
 
@@ -60,3 +71,8 @@ def hands_rig(seed, views=8, fixed_views=6):
         arms={"wrist": ("left", "right"), "fixed": "right"},
     )
     return rig, {"wrist": truth, "fixed": fixed}
+
+
+def hands_fit(tmp_path_factory):
+    """The fit of both cameras, whose lenses and noise are known."""
+    return computed_once(tmp_path_factory, "hands", lambda: fit_rig(*hands_rig(0), **KNOWN))

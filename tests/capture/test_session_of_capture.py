@@ -356,7 +356,8 @@ def test_nothing_that_was_taken_is_lost_with_the_process(tmp_path, rig):
 def test_an_estimate_states_the_error_and_proposes_views():
     noise = {"pixel_noise": 0.15, "translation_noise": 1e-4, "rotation_noise": 2e-4}
     data = scene_of(1, **noise).data
-    found = estimate(data, CaptureOptions(goal=1e-6, motion=everywhere()))
+    options = CaptureOptions(goal=1e-6, lens="radial", motion=everywhere())
+    found = estimate(data, options)
     assert found.is_reliable
     assert found.reaches(1.01 * found.error)
     assert not found.reaches(0.99 * found.error)
@@ -365,7 +366,7 @@ def test_an_estimate_states_the_error_and_proposes_views():
     assert found.error > found.next_errors[0] > found.next_errors[3]
     assert not any(proposal.is_rough for proposal in found.proposals)
     places = np.array([proposal.base_from_tool for proposal in found.proposals])
-    again = estimate(data, CaptureOptions(goal=1e-6, motion=everywhere()), places).proposals
+    again = estimate(data, options, places).proposals
     for pose in [proposal.base_from_tool for proposal in again]:
         distances = np.linalg.norm(places[:, :3, 3] - pose[:3, 3], axis=1)
         turns = [np.linalg.norm(cv2.Rodrigues(p[:3, :3].T @ pose[:3, :3])[0]) for p in places]

@@ -9,17 +9,15 @@ import equinox as eqx
 import numpy as np
 import pytest
 from arms_scene import FOUR_CAMERAS, arms_fit, arms_scene
-from arms_scene import NOISE as ARMS_NOISE
 from calibrated_rig import calibrated_rig, rig_scene
 from jaxlie import SE3
 from scipy.stats import norm
-from two_hands_scene import hands_rig
+from two_hands_scene import KNOWN, hands_fit, hands_rig
 from typer.testing import CliRunner
 
 from smartview_jax import (
     Rig,
     compare,
-    fit_rig,
     load_dataset,
     load_estimate,
     load_rig_estimate,
@@ -264,8 +262,8 @@ def test_a_camera_that_shares_nothing_is_named(rig):
     assert _lonely_cameras(rig) == []
 
 
-def test_several_arms_are_named():
-    fit = arms_fit()
+def test_several_arms_are_named(tmp_path_factory):
+    fit = arms_fit(tmp_path_factory)
     assert [row[0] for row in base_rows(fit)] == ["right in left"]
     # A robot moves cameras of different arms against each other.
     assert [row[0] for row in relative_pose_rows(fit)] == [
@@ -278,8 +276,8 @@ def test_several_arms_are_named():
     )
 
 
-def test_the_document_has_the_arms():
-    fit, (rig, _) = arms_fit(), arms_scene(0, FOUR_CAMERAS, 4)
+def test_the_document_has_the_arms(tmp_path_factory):
+    fit, (rig, _) = arms_fit(tmp_path_factory), arms_scene(0, FOUR_CAMERAS, 4)
     document = RigResult(rig, "cell", fit, None, ()).document("run", [])
     assert "robot" not in document
     right = document["arms"]["right"]
@@ -296,21 +294,21 @@ def test_the_document_has_the_arms():
     np.testing.assert_allclose(walls["half_width_95"]["rotation"], norm.ppf(0.975) * std[3:])
 
 
-def test_a_pair_of_arms_has_a_noise_and_bases():
+def test_a_pair_of_arms_has_a_noise_and_bases(tmp_path_factory):
     """A camera on the left hand sees a target on the right one, and so does a fixed one."""
-    rig, truths = hands_rig(0)
-    noise = dict.fromkeys(("right", "left+right"), ARMS_NOISE)
-    fit = fit_rig(rig, truths, noise=noise, field=None, fixed=("wrist.camera", "fixed.camera"))
+    rig, fit = hands_rig(0)[0], hands_fit(tmp_path_factory)
     document = RigResult(rig, "cell", fit, None, ()).document("run", [])
     assert document["arms"]["left"]["cameras"] == ["wrist"]
     assert document["arms"]["right"]["cameras"] == ["fixed", "wrist"]
-    assert document["pairs"] == {"left+right": {"translation": 1e-4, "rotation": 2e-4}}
+    noise = KNOWN["noise"]["left+right"]
+    stated = {"translation": noise.translation, "rotation": noise.rotation}
+    assert document["pairs"] == {"left+right": stated}
     assert document["relative"] == {}
     assert relative_pose_rows(fit) == []
     assert [row[0] for row in base_rows(fit)] == ["left in right"]
     text = rig_summary(fit)
     assert text.startswith("2 cameras and 2 arms were calibrated together.")
-    assert "0.011 degrees (left+right, of one hand in the other's frame) per axis" in text
+    assert "0.016 degrees (left+right, of one hand in the other's frame) per axis" in text
     titles = [axes.get_title() for axes in camera_mounts(fit).axes]
     assert titles == ["in the frame of the base of right", "in the frame of the tool of left"]
     names = [pose.name for pose in rig_budget.pose_uncertainties(fit)]
@@ -318,7 +316,7 @@ def test_a_pair_of_arms_has_a_noise_and_bases():
     for arm in ("right", "left+right"):
         parts = rig_budget.covariance_by_cause(fit).values()
         np.testing.assert_allclose(sum(parts), fit.covariance, atol=1e-14)
-        assert RigEstimate.of(fit, arm).noise == ARMS_NOISE
+        assert RigEstimate.of(fit, arm).noise == KNOWN["noise"][arm]
 
 
 @pytest.mark.usefixtures("judged_by_its_own_chain")

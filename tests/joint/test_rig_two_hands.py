@@ -8,10 +8,12 @@ from numpy_camera import project_radial
 from scipy.optimize import least_squares
 from two_hands_scene import (
     BOARD,
+    KNOWN,
     NOISE,
     ROTATION,
     TRANSFORMS,
     TRANSLATION,
+    hands_fit,
     hands_rig,
     transform_error,
     two_hands,
@@ -20,16 +22,6 @@ from two_hands_scene import (
 import smartview_jax as sv
 from smartview_jax.engine import STEP_NAMES
 from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms
-
-ONE_ARM = sv.Noise(0.15, TRANSLATION, ROTATION)
-"""Noise of one arm's reports."""
-
-OPTIONS = {
-    "noise": {"right": ONE_ARM, "left+right": NOISE},
-    "field": None,
-    "fixed": ("wrist.camera", "fixed.camera"),
-}
-"""Known cameras and noise: SciPy's reference has a few numbers less."""
 
 NAMES = {
     "camera_from_tool": "wrist.camera_from_tool",
@@ -40,9 +32,8 @@ NAMES = {
 
 
 @pytest.fixture(scope="module")
-def fit():
-    rig, truths = hands_rig(0)
-    return sv.fit_rig(rig, truths, **OPTIONS)
+def fit(tmp_path_factory):
+    return hands_fit(tmp_path_factory)
 
 
 def stepped(pose, step):
@@ -148,7 +139,7 @@ def test_starts_are_found(fit):
     """Of the bases, of the target on the hand and of both cameras, whose lenses are known."""
     rig, truths = hands_rig(0)
     cameras = {name: truth.camera for name, truth in truths.items()}
-    found = sv.calibrate(rig, camera=cameras, **{k: OPTIONS[k] for k in ("noise", "field")})
+    found = sv.calibrate(rig, camera=cameras, **{k: KNOWN[k] for k in ("noise", "field")})
     np.testing.assert_allclose(
         host_matrices(found.base("left", "right").transform),
         host_matrices(fit.base("left", "right").transform),
@@ -203,7 +194,7 @@ def test_a_view_without_its_target_has_the_pose_of_its_state():
 def test_starts_of_another_mount_and_without_bases_are_named():
     rig, truths = hands_rig(0)
     with pytest.raises(ValueError, match="camera 'wrist': mount: the start is eye_to_hand, but"):
-        sv.fit_rig(rig, dict.fromkeys(truths, truths["fixed"]), **OPTIONS)
+        sv.fit_rig(rig, dict.fromkeys(truths, truths["fixed"]), **KNOWN)
     apart = dataclasses.replace(truths["wrist"], base_from_other_base=None)
     with pytest.raises(ValueError, match="camera 'wrist' is on one of two arms: give their bases"):
         sv.fit_rig(rig.of_arm("left+right"), {"wrist": apart}, noise=NOISE)

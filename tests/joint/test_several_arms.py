@@ -166,10 +166,14 @@ def test_the_text_names_arms_and_bases(fit):
         fit.base("left", "middle")
 
 
-def test_a_target_that_was_moved_between_the_arms_views_is_said():
+def test_a_target_that_was_moved_between_the_arms_views_is_said(tmp_path_factory):
     """Five standard deviations of the wall's place, which the fit with all views does not hide."""
     for moved, count in ((0.0, 0), (20e-3, 1)):
-        said = [text for text in arms_fit(moved).warnings if "contradict each other" in text]
+        said = [
+            text
+            for text in arms_fit(tmp_path_factory, moved).warnings
+            if "contradict each other" in text
+        ]
         assert len(said) == count
     assert "left, right contradict each other about the targets" in said[0]
 
@@ -214,8 +218,9 @@ def test_wrong_options_are_named(options, message):
         fit_rig(rig, truths, **{"noise": NOISE, **options})
 
 
-def test_starts_and_problems_of_other_rigs_are_refused():
+def test_starts_and_problems_of_other_rigs_are_refused(tmp_path_factory):
     rig, truths = arms_scene(0, FOUR_CAMERAS, 4)
+    fit = arms_fit(tmp_path_factory)
     with pytest.raises(ValueError, match="starts: expected the cameras left_table, left_wall"):
         fit_rig(rig, {"left_table": truths["left_table"]}, noise=NOISE)
     with pytest.raises(
@@ -223,18 +228,18 @@ def test_starts_and_problems_of_other_rigs_are_refused():
     ):
         build_rig(rig, truths, noise=NOISE)
     with pytest.raises(ValueError, match="error_budget: expected a rig with one arm"):
-        error_budget(rig, arms_fit())
+        error_budget(rig, fit)
     with pytest.raises(ValueError, match="RigInformationModel: expected a rig with one arm"):
-        RigInformationModel.from_fit(arms_fit(), rig)
+        RigInformationModel.from_fit(fit, rig)
     with pytest.raises(ValueError, match="fit: expected an arm of left, right, found 'middle'"):
-        RigInformationModel.from_fit(arms_fit(), rig, "middle")
+        RigInformationModel.from_fit(fit, rig, "middle")
     with pytest.raises(ValueError, match="expected the fit of a rig with one arm, found left, ri"):
-        RigEstimate.of(arms_fit())
+        RigEstimate.of(fit)
 
 
-def test_each_arm_has_a_file_of_its_cameras_together(tmp_path):
+def test_each_arm_has_a_file_of_its_cameras_together(tmp_path_factory, tmp_path):
     """With the covariance that the fit of all arms gives them, in their own base."""
-    fit = arms_fit()
+    fit = arms_fit(tmp_path_factory)
     fit.save(tmp_path)
     for arm in ("left", "right"):
         read = load_rig_estimate(tmp_path / f"{arm}.joint.yaml")
@@ -252,9 +257,9 @@ def test_each_arm_has_a_file_of_its_cameras_together(tmp_path):
     assert not is_rig(tmp_path)
 
 
-def test_the_next_states_of_one_arm_are_planned():
+def test_the_next_states_of_one_arm_are_planned(tmp_path_factory):
     """From what the fit of all arms tells of its cameras, in its own base."""
-    rig, fit = arms_scene(0, FOUR_CAMERAS, 4)[0], arms_fit()
+    rig, fit = arms_scene(0, FOUR_CAMERAS, 4)[0], arms_fit(tmp_path_factory)
     model = RigInformationModel.from_fit(fit, rig, "right")
     names, covariance, _ = fit.of_arm("right")
     rows = [names.index(name) for name in model.parameter_names]

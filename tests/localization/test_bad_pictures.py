@@ -21,7 +21,8 @@ RIGHT = 3.0, 3.0
 
 
 def blurred(picture, _):
-    return cv2.GaussianBlur(picture, (0, 0), 1.2)
+    """By half as much again as the edges are wide, and less than a picture is halved for."""
+    return cv2.GaussianBlur(picture, (0, 0), 0.8)
 
 
 def noisy(picture, rng):
