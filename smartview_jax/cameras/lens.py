@@ -51,6 +51,13 @@ class AbstractPerspectiveLens(AbstractLens):
     ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
         """Return distorted from ideal normalised coordinates, and whether each is valid."""
 
+    def distort_valid(self, ideal: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        """Return distorted from ideal normalised coordinates that are known to be valid.
+
+        A lens whose test of validity takes long can leave the test out here.
+        """
+        return self.distort_normalised(ideal)[0]
+
     @abc.abstractmethod
     def undistort_normalised(
         self, distorted: Float[Array, "*batch 2"]

@@ -44,8 +44,13 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
         # which `is_unfolded` tests at the point itself.
         valid = jnp.sum(ideal**2, axis=-1) < self._fold_radius() ** 2
         inside = jnp.where(valid[..., None], ideal, 0.0)
-        distorted = self._distort_unchecked(inside)
-        return distorted, valid & is_unfolded(self._distort_unchecked, inside)
+        # Whether a point is valid is not differentiated.
+        fixed, at = jax.lax.stop_gradient((self, inside))
+        return self._distort_unchecked(inside), valid & is_unfolded(fixed._distort_unchecked, at)
+
+    def distort_valid(self, ideal: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        """Return distorted from ideal normalised coordinates that are known to be valid."""
+        return self._distort_unchecked(ideal)
 
     def undistort_normalised(
         self, distorted: Float[Array, "*batch 2"]

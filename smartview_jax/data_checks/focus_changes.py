@@ -163,7 +163,9 @@ def find_focus_change(
         # A focal length that is wrong in all views alike.
         along[..., None],
     )
-    errors = _Positions(np.concatenate(columns, axis=2), positions, along * seen.noise[views, None])
+    columns = np.concatenate(columns, axis=2)
+    noise = _outer_products(along * seen.noise[views, None])
+    errors = _Positions.of(columns, positions, noise)
     numbers = np.log(3.0 * len(views))
     least_gain = 2.0 * np.log(VERY_STRONG_EVIDENCE)
     # A good robot is done with here: searches for variances take much longer.
@@ -181,14 +183,14 @@ def find_focus_change(
     size = focus.size
     if size < MIN_SIZE:
         return None
-    alike = errors.likelihood(None)
+    if errors.likelihood(None).deviance - focus.deviance - numbers < least_gain:
+        return None
     # The axes of the base: of the holder, or of the mount if the camera stands next to the arm.
     is_on_base = mount_frames(mount)[0] == "base"
     rotations = np.broadcast_to(np.eye(3), (len(views), 3, 3)) if is_on_base else robot[:, :3, :3]
     axes = (camera_from_mount[:3, :3] @ rotations).transpose(2, 0, 1)
-    rival = min(errors.likelihood(axis).deviance for axis in axes)
-    odds = min(alike.deviance - focus.deviance - numbers, rival - focus.deviance)
-    if odds < least_gain:
+    # `any` asks no further axis after the first that explains the errors about as well.
+    if any(errors.likelihood(axis).deviance - focus.deviance < least_gain for axis in axes):
         return None
     change = FocusChange(size, size * median_distance(camera), focus.sigma)
     return _change_of_single_views(errors, along, views, focus.deviance + numbers) or change
@@ -244,18 +246,41 @@ class _Likelihood(NamedTuple):
     deviance: float
 
 
+_EYE = np.eye(3)
+
+
+def _outer_products(vectors: Float[np.ndarray, "views 3"]) -> Float[np.ndarray, "views 3 3"]:
+    """Return the product of each vector with itself."""
+    return vectors[:, :, None] * vectors[:, None, :]
+
+
 class _Positions(NamedTuple):
     """Positions, and what explains them.
 
     Attributes:
         columns: of the numbers that explain them.
         positions: of the target in each view, in the camera's axes, m.
-        noise: of the pictures in each view, as a vector, m.
+        noise: products of each view's noise of the pictures, as a vector, with itself, m^2.
+        equations: an orthonormal basis of the columns, and the positions as the last column.
     """
 
     columns: Float[np.ndarray, "views 3 numbers"]
     positions: Float[np.ndarray, "views 3"]
-    noise: Float[np.ndarray, "views 3"]
+    noise: Float[np.ndarray, "views 3 3"]
+    equations: Float[np.ndarray, "views 3 terms"]
+
+    @classmethod
+    def of(
+        cls,
+        columns: Float[np.ndarray, "views 3 numbers"],
+        positions: Float[np.ndarray, "views 3"],
+        noise: Float[np.ndarray, "views 3 3"],
+    ) -> "_Positions":
+        """Prepare what the likelihoods of all standard deviations have in common."""
+        basis, sizes, _ = np.linalg.svd(columns.reshape(-1, columns.shape[2]), full_matrices=False)
+        basis = basis[:, sizes > 1e-9 * sizes[0]].reshape(*positions.shape, -1)
+        equations = np.concatenate([basis, positions[..., None]], axis=2)
+        return cls(columns, positions, noise, equations)
 
     def with_free_views(
         self, vectors: Float[np.ndarray, "views 3"], free: list[int]
@@ -263,7 +288,8 @@ class _Positions(NamedTuple):
         """Return positions of which some also move along their vectors, each by another number."""
         columns = np.zeros((len(vectors), 3, len(free)))
         columns[free, :, np.arange(len(free))] = vectors[free]
-        return self._replace(columns=np.concatenate([self.columns, columns], axis=2))
+        columns = np.concatenate([self.columns, columns], axis=2)
+        return _Positions.of(columns, self.positions, self.noise)
 
     @property
     def sigma(self) -> float:
@@ -271,26 +297,38 @@ class _Positions(NamedTuple):
         errors = fit_positions(self.columns, self.positions).errors
         return max(float(np.sqrt(np.mean(errors**2))), 1e-9)
 
-    def deviance(self, logarithms: np.ndarray, outer: np.ndarray | None = None) -> float:
-        """Return minus twice the log likelihood of standard deviations.
+    def deviance(self, logarithms: Float[np.ndarray, "deviations"]) -> float:
+        """Return minus twice the log likelihood of the standard deviation in all directions, m."""
+        return self._scored(logarithms, _EYE[None, None])[0]
+
+    def _scored(
+        self,
+        logarithms: Float[np.ndarray, "deviations"],
+        shapes: Float[np.ndarray, "deviations #views 3 3"],
+    ) -> tuple[float, Float[np.ndarray, "deviations"]]:
+        """Return the deviance of standard deviations with its gradient by their logarithms.
 
         Args:
-            logarithms: of the standard deviation in all directions, and along vectors if any.
-            outer: products of each view's vector with itself; None without vectors.
+            logarithms: of the standard deviations.
+            shapes: covariance of the views' errors for a standard deviation of one.
         """
-        covariance = np.exp(2.0 * logarithms[0]) * np.eye(3)
-        covariance = covariance + np.einsum("vi,vj->vij", self.noise, self.noise)
-        if outer is not None:
-            covariance = covariance + np.exp(2.0 * logarithms[1]) * outer
+        parts = np.exp(2.0 * logarithms)[:, None, None, None] * shapes
+        covariance = self.noise + parts.sum(axis=0)
         # Rendered views may leave nothing across the vectors, where rounding would be negative.
-        floor = MIN_VARIANCE + 1e-12 * np.trace(covariance, axis1=1, axis2=2)
-        covariance = covariance + floor[:, None, None] * np.eye(3)
-        whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-        matrix = (whitening @ self.columns).reshape(-1, self.columns.shape[2])
-        target = np.einsum("vij,vj->vi", whitening, self.positions).ravel()
-        errors = target - matrix @ np.linalg.lstsq(matrix, target, rcond=1e-9)[0]
-        determinants = -2.0 * np.log(np.diagonal(whitening, axis1=1, axis2=2)).sum()
-        return float(errors @ errors + determinants)
+        floor = MIN_VARIANCE + 1e-12 * np.einsum("vii->v", covariance)
+        factors = np.linalg.cholesky(covariance + floor[:, None, None] * _EYE)
+        whitening = np.linalg.inv(factors)
+        whitened = (whitening @ self.equations).reshape(-1, self.equations.shape[2])
+        # Of orthogonal factors of the equations the last is what no column explains.
+        basis, triangle = np.linalg.qr(whitened)
+        errors = triangle[-1, -1] * basis[:, -1].reshape(-1, 3)
+        # -2 log L = sum of e^T C^-1 e + log det C, with the covariance C = L L^T of a view. Along a
+        # logarithm with A = L^-1 dC L^-T it changes by trace A - (L^-1 e)^T A (L^-1 e).
+        changes = 2.0 * whitening @ parts @ whitening.swapaxes(1, 2)
+        gradient = np.einsum("kvii->k", changes)
+        gradient = gradient - np.einsum("vi,kvij,vj->k", errors, changes, errors)
+        deviance = np.sum(errors**2) + 2.0 * np.log(np.einsum("vii->vi", factors)).sum()
+        return float(deviance), gradient
 
     def least_deviance(self, along: Float[np.ndarray, "views"]) -> float:
         """Return what no deviance is below if errors along the optical axis are so large or larger.
@@ -309,17 +347,25 @@ class _Positions(NamedTuple):
 
     def likelihood(self, vectors: Float[np.ndarray, "views 3"] | None) -> _Likelihood:
         """Return the likeliest errors that are alike in all directions, plus some along vectors."""
-        outer = None if vectors is None else np.einsum("vi,vj->vij", vectors, vectors)
+        alike = np.broadcast_to(_EYE, self.noise.shape)[None]
         sigma = np.log(self.sigma)
-        starts = [np.array([sigma])]
-        if vectors is not None:
-            size = np.log(float(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))))
-            starts = [
-                np.array([sigma + a, sigma + b - size]) for a, b in ((0.0, -1.0), (-2.0, 0.0))
-            ]
-        best = min(
-            (minimize(self.deviance, start, (outer,), "Nelder-Mead") for start in starts),
-            key=lambda result: result.fun,
+        if vectors is None:
+            logarithms, deviance = self._likeliest(np.array([sigma]), alike)
+            return _Likelihood(float(np.exp(logarithms[0])), 0.0, deviance)
+        shapes = np.concatenate([alike, _outer_products(vectors)[None]])
+        size = np.log(float(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))))
+        starts = np.array([[sigma, sigma - 1.0 - size], [sigma - 2.0, sigma - size]])
+        logarithms, deviance = min(
+            (self._likeliest(start, shapes) for start in starts), key=lambda found: found[1]
         )
-        size = float(np.exp(best.x[1])) if vectors is not None else 0.0
-        return _Likelihood(float(np.exp(best.x[0])), size, float(best.fun))
+        sigma, size = np.exp(logarithms).tolist()
+        return _Likelihood(sigma, size, deviance)
+
+    def _likeliest(
+        self,
+        start: Float[np.ndarray, "deviations"],
+        shapes: Float[np.ndarray, "deviations #views 3 3"],
+    ) -> tuple[Float[np.ndarray, "deviations"], float]:
+        """Return the likeliest logarithms near a start, and their deviance."""
+        result = minimize(self._scored, start, (shapes,), "BFGS", jac=True)
+        return result.x, float(result.fun)

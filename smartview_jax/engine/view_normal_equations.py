@@ -294,7 +294,7 @@ def _project_with_jacobians(
             """Distort points on the unit plane."""
             lens = lens_with(lens_parameters)
             assert isinstance(lens, AbstractPerspectiveLens)
-            distorted = lens.distort_normalised(jnp.stack([x, y], axis=-1))[0]
+            distorted = lens.distort_valid(jnp.stack([x, y], axis=-1))
             return distorted[..., 0], distorted[..., 1]
 
         # Only the direction of a point matters: the lens maps (px / pz, py / pz) to the distorted

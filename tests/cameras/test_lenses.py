@@ -68,6 +68,11 @@ def both_ways(camera, points, pixels):
     return camera.project(points), camera.unproject(pixels)
 
 
+@eqx.filter_jit
+def distorted_with_and_without_the_test(lens, ideal):
+    return lens.distort_normalised(ideal)[0], lens.distort_valid(ideal)
+
+
 def padded(rows):
     """Rows repeated up to the number that every call has."""
     rows = np.asarray(rows, dtype=float)
@@ -231,6 +236,14 @@ FOLDS = {
     # r (1 - 0.6 s) / (1 - 0.2 s) peaks where 1 - 1.6 s + 0.12 s^2 = 0: s = 0.6573967.
     "opencv8": (OpenCV8(-0.6, 0.0, 0.0, 0.0, 0.0, -0.2), 0.8108, 0.8108 * 0.60559 / 0.86852),
 }
+
+
+@pytest.mark.parametrize("name", ["opencv4", "opencv8", "a user's own"])
+def test_valid_points_are_distorted_alike_without_the_test_of_validity(name):
+    lens, half_angle = LENSES[name]
+    points = rays(half_angle)
+    tested, untested = distorted_with_and_without_the_test(lens, points[:, :2] / points[:, 2:])
+    np.testing.assert_allclose(untested, tested, rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", FOLDS)

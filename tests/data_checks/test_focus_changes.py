@@ -7,9 +7,10 @@ import cv2
 import numpy as np
 import pytest
 from robot_motions import VIEWS, moving_alike, transform
+from scipy.optimize import minimize
 
 from smartview_jax.data_checks import SeenDistances
-from smartview_jax.data_checks.focus_changes import find_focus_change
+from smartview_jax.data_checks.focus_changes import _Positions, find_focus_change
 from smartview_jax.geometry import as_se3
 
 MIDDLE = np.array([0.1, 0.07, 0.0])
@@ -108,6 +109,28 @@ def test_a_lift_below_a_camera_that_hangs_over_the_arm_is_left_in_peace():
             true = transform([0, 0, 0], rng.normal(0.0, [2e-4, 2e-4, 5e-3])) @ robot[view]
             camera[view] = down @ true @ transform([180, 0, 30], [0.02, 0.05, 0.1])
         assert found(robot, camera, mount="eye_to_hand") is None
+
+
+def test_the_likeliest_errors_are_those_that_scipy_finds():
+    rng = np.random.default_rng(0)
+    columns, vectors = rng.normal(size=(VIEWS, 3, 4)), rng.normal(size=(VIEWS, 3))
+    noise = 0.3 * rng.normal(size=(VIEWS, 3))
+    positions = columns @ rng.normal(size=4) + noise * rng.normal(size=(VIEWS, 1))
+    positions += 0.8 * vectors * rng.normal(size=(VIEWS, 1)) + 0.2 * rng.normal(size=(VIEWS, 3))
+
+    def deviance(unknowns):
+        """By the density of the normal distribution."""
+        alike, along = np.exp(2.0 * unknowns[:2])
+        covariance = alike * np.eye(3) + along * vectors[:, :, None] * vectors[:, None]
+        covariance = covariance + noise[:, :, None] * noise[:, None]
+        errors = positions - columns @ unknowns[2:]
+        scaled = np.linalg.solve(covariance, errors[..., None])[..., 0]
+        return np.sum(errors * scaled) + np.linalg.slogdet(covariance)[1].sum()
+
+    expected = minimize(deviance, np.array([-1.0, -1.0, 0.0, 0.0, 0.0, 0.0]))
+    found = _Positions.of(columns, positions, noise).likelihood(vectors)
+    np.testing.assert_allclose([found.sigma, found.size], np.exp(expected.x[:2]), rtol=1e-3)
+    assert found.deviance == pytest.approx(expected.fun, abs=1e-4)
 
 
 def test_poses_without_noise_are_judged_as_well():
