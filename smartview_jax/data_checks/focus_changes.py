@@ -367,5 +367,5 @@ class _Positions(NamedTuple):
         shapes: Float[np.ndarray, "deviations #views 3 3"],
     ) -> tuple[Float[np.ndarray, "deviations"], float]:
         """Return the likeliest logarithms near a start, and their deviance."""
-        result = minimize(self._scored, start, (shapes,), "BFGS", jac=True)
+        result = minimize(self._scored, start, (shapes,), "L-BFGS-B", jac=True)
         return result.x, float(result.fun)

@@ -128,7 +128,8 @@ def test_the_likeliest_errors_are_those_that_scipy_finds():
         return np.sum(errors * scaled) + np.linalg.slogdet(covariance)[1].sum()
 
     expected = minimize(deviance, np.array([-1.0, -1.0, 0.0, 0.0, 0.0, 0.0]))
-    found = _Positions.of(columns, positions, noise).likelihood(vectors)
+    products = noise[:, :, None] * noise[:, None]
+    found = _Positions.of(columns, positions, products).likelihood(vectors)
     np.testing.assert_allclose([found.sigma, found.size], np.exp(expected.x[:2]), rtol=1e-3)
     assert found.deviance == pytest.approx(expected.fun, abs=1e-4)
 
