@@ -39,7 +39,7 @@ class _AngleFunctions(NamedTuple):
         square = jnp.sum(vectors**2, axis=-1, keepdims=True)
         is_small = square < _SERIES_SQUARED_ANGLE
         # Near zero, where the quotients lose their digits, the series are used. Sums of terms are
-        # products with a matrix, which are few instructions.
+        # products with a matrix, which are few instructions: with t^0, t^2, t^4, ... to t^14.
         one, fourth = jnp.ones_like(square), square * square
         low = [one, square, fourth, fourth * square]
         near_zero = jnp.concatenate([*low, *(fourth * fourth * x for x in low)], axis=-1)

@@ -67,16 +67,18 @@ def _smoothed(
 
 
 class _SmoothingSpline:
-    """The natural cubic splines f through knots x that minimise, for any weight,
+    """The natural cubic splines that are near some values, and smooth, for any weight.
 
-        sum (y - f(x))^2 + weight * integral of f''^2
+    With values y at knots x the spline f minimises
+
+        sum (y - f(x))^2 + weight * integral of f''^2.
 
     By Reinsch's algorithm: with the second differences `Q^T y` and the integrals R of products of
     hat functions, the second derivatives g at the inner knots are
 
         (R + weight Q^T Q) g = Q^T y,   f(x) = y - weight Q g.
 
-    SciPy's `make_smoothing_spline` sets up its equations for every weight again, row by row.
+    SciPy's smoothing spline sets up its equations for every weight again, row by row.
 
     Reference: Reinsch, Smoothing by spline functions, Numerische Mathematik 10, 1967.
     """
