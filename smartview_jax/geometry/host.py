@@ -1,8 +1,4 @@
-"""Compute with rigid transforms as NumPy matrices, without compiling a JAX program.
-
-SciPy's rotations are imported only where they are used: importing them takes as long as computing
-with ten thousand of them.
-"""
+"""Compute with rigid transforms as NumPy matrices, without compiling a JAX program."""
 
 import numpy as np
 from jaxlie import SE3
@@ -56,10 +52,24 @@ def host_rotation_vectors(
     Raises:
         ValueError: a matrix that is not finite, or no rotation.
     """
-    from scipy.spatial.transform import Rotation
+    rotations = matrices[..., :3, :3].reshape(-1, 3, 3)
+    with np.errstate(invalid="ignore"):
+        are_rotations = np.linalg.det(rotations) > 0.0
+    if not are_rotations.all():
+        raise ValueError("expected rotations, found a matrix that is mirrored or not finite")
+    return _rotation_vectors(rotations).reshape(*matrices.shape[:-2], 3)
 
-    rotations = Rotation.from_matrix(matrices[..., :3, :3].reshape(-1, 3, 3))
-    return rotations.as_rotvec().reshape(*matrices.shape[:-2], 3)
+
+def _rotation_vectors(rotations: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
+    """Return the rotation vectors of rotations, rad."""
+    # SciPy first looks for the nearest rotations, which takes several times as long.
+    quaternions = _quaternions(rotations)
+    real, imaginary = quaternions[:, :1], quaternions[:, 1:]
+    length = np.linalg.norm(imaginary, axis=1, keepdims=True)
+    # A quaternion and its negative are one rotation, by an angle of at most half a turn.
+    half_angle = np.arctan2(length, np.abs(real))
+    per_length = np.where(length > 0.0, 2.0 * half_angle / np.where(length > 0.0, length, 1.0), 2.0)
+    return np.copysign(per_length, real) * imaginary
 
 
 def host_transforms(matrices: Float[np.ndarray, "*batch 4 4"]) -> SE3:
@@ -79,15 +89,18 @@ def _transform_numbers(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray
     SciPy is not used: for a matrix of few digits it returns the nearest rotation, which differs
     from jaxlie's result, and it refuses the mirrored matrices that masked views may have.
     """
-    R = matrices[:, :3, :3]
+    return np.hstack([_quaternions(matrices[:, :3, :3]), matrices[:, :3, 3]])
+
+
+def _quaternions(R: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 4"]:
+    """Return the unit quaternions of rotations, real part first, with the signs that jaxlie has."""
     # 4 q q^T of the unit quaternion q: each row is 4 w, 4 x, 4 y or 4 z times the quaternion.
     rows = (R.reshape(-1, 9) @ _ROWS_BY_ENTRIES).reshape(-1, 4, 4) + np.eye(4)
     # The row is chosen as in jaxlie, so that it is far from zero.
     first, second, third = R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]
     chosen = np.where(third < 0.0, np.where(first > second, 1, 2), np.where(first < -second, 3, 0))
     quaternions = rows[np.arange(len(R)), chosen]
-    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-    return np.hstack([quaternions, matrices[:, :3, 3]])
+    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
 
 
 def _turned_by_products() -> Float[np.ndarray, "16 9"]:
@@ -131,13 +144,11 @@ def host_logarithms(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarr
 
     A tangent is NaN where its matrix is not finite.
     """
-    from scipy.spatial.transform import Rotation
-
     tangents = np.full((*matrices.shape[:-2], 6), np.nan)
     finite = np.isfinite(matrices).all(axis=(-2, -1))
     if finite.any():
         t = matrices[finite][:, :3, 3]
-        w = Rotation.from_matrix(matrices[finite][:, :3, :3]).as_rotvec()
+        w = _rotation_vectors(matrices[finite][:, :3, :3])
         # The translation t is V v of the tangent (v, w), with V the left Jacobian at w.
         turned = np.cross(w, t)
         factor = _inverse_left_jacobian_factors(w)

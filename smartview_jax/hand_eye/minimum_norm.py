@@ -37,6 +37,12 @@ MAX_STEPS = 50
 MAX_SEARCHED_VIEWS = 60
 """The number of views, evenly spaced, among which the best of the starts is searched."""
 
+SEARCH_TOLERANCE = 1e-3
+"""The relative decrease of the cost by a step at which one of the starts is not followed further.
+
+The best of them is followed to the last digits.
+"""
+
 MAX_DAMPING = 1e8
 """The damping, relative to the diagonal, at which a search has come to its end."""
 
@@ -62,9 +68,9 @@ def minimum_norm_transforms(
     T, C = mount_from_holder[some], camera_from_world[some]
     translation = np.zeros(3) if start[1] is None else start[1][:3, 3]
     starts = host_poses(_cube_rotations(), translation)
-    costs, _, worlds = _search(T, C, starts, twists)
+    costs, _, worlds = _search(T, C, starts, twists, SEARCH_TOLERANCE)
     best = worlds[[np.argmin(costs)]]
-    _, (camera,), (world,) = _search(mount_from_holder, camera_from_world, best, twists)
+    _, (camera,), (world,) = _search(mount_from_holder, camera_from_world, best, twists, 1e-12)
     return _shifted_to_start(camera, world, mount_from_holder[0], twists, start, camera_on_hand)
 
 
@@ -81,7 +87,11 @@ def _cube_rotations() -> Float[np.ndarray, "24 3 3"]:
 
 
 def _search(
-    T: _Matrices, C: _Matrices, worlds: _Starts, twists: Float[np.ndarray, "twists 6"]
+    T: _Matrices,
+    C: _Matrices,
+    worlds: _Starts,
+    twists: Float[np.ndarray, "twists 6"],
+    tolerance: float,
 ) -> tuple[Float[np.ndarray, "starts"], _Starts, _Starts]:
     """Return costs and both transforms after damped Gauss-Newton steps of minimum norm.
 
@@ -90,6 +100,7 @@ def _search(
         worlds: starts of `holder_from_world`; `camera_from_mount` follows from each. The searches
             are made together, which takes a third of the time.
         twists: undetermined twists of the holder, along which no step goes.
+        tolerance: relative decrease of the cost by a step at which a search ends.
     """
     cameras, worlds = mean_camera_from_mount(worlds, T, C, np.ones(len(T))), worlds.copy()
     unit = float(np.median(np.linalg.norm(C[:, :3, 3], axis=1)))
@@ -113,7 +124,7 @@ def _search(
         kept = going[better]
         cameras[kept], worlds[kept], costs[kept] = camera[better], world[better], trial_cost[better]
         damping[going] *= np.where(better, 0.1, 10.0)
-        at_minimum = better & (cost - trial_cost <= 1e-12 * trial_cost)
+        at_minimum = better & (cost - trial_cost <= tolerance * trial_cost)
         going = going[~at_minimum & (better | (damping[going] <= MAX_DAMPING))]
         if not len(going):
             break

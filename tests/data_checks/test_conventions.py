@@ -1,3 +1,5 @@
+import itertools
+
 import cv2
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +11,8 @@ from scipy.spatial.transform import Rotation
 from shared_data import shared_pairs
 
 from smartview_jax.data_checks import check_conventions, mistaken_unit, target_turns
+from smartview_jax.data_checks.given_poses import GivenPoses
+from smartview_jax.data_checks.misread_angles import angle_format_mistakes
 from smartview_jax.geometry import (
     EULER_CODECS,
     EULER_CONVENTIONS,
@@ -250,23 +254,43 @@ def test_transposed_rotations_are_told_from_inverted_poses(poses):
 _BEFORE_A_NAME = ("the angles are ", "(or ", "(the same are ", ", ")
 
 
-@pytest.mark.parametrize("true", EULER_CODECS)
-@pytest.mark.parametrize("read", ["kuka_abc", "fanuc_wpr", "staubli_val3"])
-def test_every_convention_of_three_angles_is_named(poses, true, read):
-    robot, seen = poses
+READ = "kuka_abc", "fanuc_wpr", "staubli_val3"
+
+
+def named_as(true, text):
+    """Whether a convention of three angles is named in a text, by any of the names it has."""
     axes, moving = EULER_CONVENTIONS[true]
-    wrong = misread(robot, true, read)
-    if np.allclose(wrong.as_matrix(), robot.as_matrix()):
-        return
-    (problem,) = check_conventions(wrong, seen, "eye_in_hand").problems
     # A convention with a maker's name has this name; the angles in reverse order are the same.
     same = {"ZYX": "kuka_abc", "XYZ": "staubli_val3", "ZYZ": "kawasaki_oat"}
     name = same.get(axes, true) if moving else true if axes != "XYZ" else "fanuc_wpr"
     reverse = f"euler_{axes[::-1]}_{'fixed' if moving else 'moving'}"
     names = {name, reverse, same.get(axes[::-1], name) if not moving else name}
-    named = [f"{before}{one}" in problem for one in names for before in _BEFORE_A_NAME]
-    assert any(named), problem
+    return any(f"{before}{one}" in text for one in names for before in _BEFORE_A_NAME)
+
+
+@pytest.mark.parametrize(
+    ("true", "read"), list(zip(EULER_CODECS, itertools.cycle(READ), strict=False))
+)
+def test_every_convention_of_three_angles_is_named(poses, true, read):
+    robot, seen = poses
+    wrong = misread(robot, true, read)
+    if np.allclose(wrong.as_matrix(), robot.as_matrix()):
+        return
+    (problem,) = check_conventions(wrong, seen, "eye_in_hand").problems
+    assert named_as(true, problem), problem
     assert "explain it about as well" not in problem
+
+
+@pytest.mark.parametrize("read", READ)
+def test_any_convention_read_as_another_is_undone_by_a_mistake_of_its_name(poses, read):
+    robot, seen = map(matrices, poses)
+    for true in EULER_CODECS:
+        wrong = matrices(misread(poses[0], true, read))
+        given = GivenPoses(wrong, seen)
+        undone = (
+            m.undo(given)[0] for m in angle_format_mistakes() if named_as(true, m.description)
+        )
+        assert np.allclose(wrong, robot) or any(np.allclose(poses, robot) for poses in undone), true
 
 
 def test_radians_taken_for_degrees_are_named(poses):

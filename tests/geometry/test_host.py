@@ -37,6 +37,24 @@ def test_host_functions_agree_with_jaxlie(size):
     np.testing.assert_allclose(host_transforms(matrices).as_matrix(), matrices, atol=1e-14)
 
 
+def test_rotation_vectors_are_scipys_up_to_half_a_turn():
+    axes = np.concatenate([RNG.normal(size=(20, 3)), np.eye(3), -np.eye(3)])
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    angles = np.array([[1e-9], [1e-3], [2.0], [3.0], [np.pi - 1e-6]])[:, None]
+    turns = Rotation.from_rotvec((angles * axes).reshape(-1, 3))
+    vectors = host_rotation_vectors(turns.as_matrix())
+    np.testing.assert_allclose(vectors, turns.as_rotvec(), atol=1e-14)
+    # At half a turn the axis may have either sign.
+    half = host_rotation_vectors(Rotation.from_rotvec(np.pi * axes).as_matrix())
+    np.testing.assert_allclose(np.abs(half), np.abs(np.pi * axes), atol=1e-7)
+
+
+@pytest.mark.parametrize("wrong", [np.diag([1.0, 1.0, -1.0]), np.full((3, 3), np.nan)])
+def test_what_is_no_rotation_has_no_rotation_vector(wrong):
+    with pytest.raises(ValueError, match="mirrored or not finite"):
+        host_rotation_vectors(np.stack([np.eye(3), wrong]))
+
+
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 0.3, np.pi])
 def test_angles_between_rotations_keep_their_digits(angle):
     axis = np.array([[1.0, 0.0, 0.0], [0.6, 0.0, 0.8]])
