@@ -1,13 +1,11 @@
 """The motion in a noisy log, against the motion itself."""
 
 import numpy as np
-import pytest
 from robot_motion import motion
-from scipy.interpolate import make_smoothing_spline
 
 from smartview_jax.geometry import host_exponentials
 from smartview_jax.robots import Trajectory, smoothed_log
-from smartview_jax.robots.log_smoothing import JUDGED, _SmoothingSpline
+from smartview_jax.robots.log_smoothing import JUDGED
 
 TIMES = np.arange(0.0, 4.0, 0.004)
 
@@ -15,17 +13,6 @@ TIMES = np.arange(0.0, 4.0, 0.004)
 def speeds(poses):
     """Speeds of the tool, m/s."""
     return np.gradient(poses[:, :3, 3], TIMES, axis=0)
-
-
-@pytest.mark.parametrize("weight", [1e-3, 1.0, 1e6])
-def test_the_spline_is_the_one_that_scipy_finds(weight):
-    rng = np.random.default_rng(0)
-    knots = np.cumsum(rng.uniform(0.5, 1.5, 60))
-    values, times = rng.normal(size=(60, 3)), np.linspace(knots[0], knots[-1], 100)
-    expected = make_smoothing_spline(knots, values, lam=weight)
-    spline = _SmoothingSpline(knots, values)
-    np.testing.assert_allclose(spline.at(times, weight), expected(times), atol=1e-8)
-    np.testing.assert_allclose(spline.at_knots(weight), expected(knots), atol=1e-8)
 
 
 def test_the_speed_of_the_noise_is_gone():
