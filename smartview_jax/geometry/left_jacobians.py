@@ -36,20 +36,21 @@ class _AngleFunctions(NamedTuple):
 
     def at(self, vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch functions"]:
         """Return the functions at the lengths of rotation vectors, rad."""
+        axes = (1,) * (vectors.ndim - 1)
+        series, numerators, powers = (x.reshape(x.shape[:-1] + axes + x.shape[-1:]) for x in self)
         square = jnp.sum(vectors**2, axis=-1, keepdims=True)
         is_small = square < _SERIES_SQUARED_ANGLE
-        # Near zero, where the quotients lose their digits, the series are used. Sums of terms are
-        # products with a matrix, which are few instructions: with t^0, t^2, t^4, ... to t^14.
-        one, fourth = jnp.ones_like(square), square * square
-        low = [one, square, fourth, fourth * square]
-        near_zero = jnp.concatenate([*low, *(fourth * fourth * x for x in low)], axis=-1)
+        # Near zero, where the quotients lose their digits, the series are used.
+        near_zero = series[-1]
+        for coefficients in series[-2::-1]:
+            near_zero = coefficients + square * near_zero
         # The inner `where` keeps the derivative of the branch that is not taken finite.
         t = jnp.sqrt(jnp.where(is_small, 1.0, square))
-        sine, cosine = jnp.sin(t), jnp.cos(t)
-        terms = jnp.concatenate([one, t, sine, t * sine, cosine, t * cosine], axis=-1)
-        powers = self.powers.reshape((1,) * (vectors.ndim - 1) + self.powers.shape)
-        quotients = terms @ self.numerators / t**powers
-        return jnp.where(is_small, near_zero @ self.series, quotients)
+        plain, by_sine, by_cosine = (
+            even + t * odd for even, odd in zip(numerators[::2], numerators[1::2], strict=True)
+        )
+        quotients = (plain + by_sine * jnp.sin(t) + by_cosine * jnp.cos(t)) / t**powers
+        return jnp.where(is_small, near_zero, quotients)
 
 
 def _series(n: int, weight: Callable[[int], float] = lambda _: 1.0) -> list[float]:
