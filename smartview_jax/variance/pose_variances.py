@@ -273,7 +273,7 @@ def averaged_covariance(
 
 
 class _Deviance:
-    """-2 log of the restricted likelihood times the prior, of the logarithms of variances."""
+    """The deviance, -2 log of the restricted likelihood times the prior, by log variances."""
 
     def __init__(self, pairs: LinearPairs, priors: LogNormalPriors | None):
         self._pairs, self._priors = pairs, priors
