@@ -79,7 +79,7 @@ def error_of(number):
 @pytest.fixture(scope="module")
 def of_type():
     """The prior of a type whose robots have wrong zeros in common, and the next robot's fit."""
-    prior = fleet_prior(fit_of(k, arm_error=error_of(k)) for k in range(5))
+    prior = fleet_prior(fit_of(k, arm_error=error_of(k)) for k in range(3))
     return prior, fit_of(5, prior=prior, arm_error=error_of(5))
 
 
