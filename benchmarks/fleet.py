@@ -145,8 +145,8 @@ def _scene(number: int, common: float = 0.0) -> Any:
             random_kinematic_errors(six_axes(), np.random.default_rng(seed), 1.0, ERRORS)
             for seed in ((COMMON_SEED, 0), (COMMON_SEED, 1, number))
         )
-        parts = common**0.5 * shared.coefficients, (1.0 - common) ** 0.5 * own.coefficients
-        error = RobotError(own.field, sum(parts))
+        whole = common**0.5 * shared.coefficients + (1.0 - common) ** 0.5 * own.coefficients
+        error = RobotError(own.field, whole)
     scene = six_axis_scene(
         number, VIEWS, held_out_views=1, error_scale=scale, error_sigma=ERRORS, arm_error=error
     )

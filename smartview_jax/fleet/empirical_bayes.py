@@ -23,7 +23,7 @@ prediction, 2010.
 """
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -178,10 +178,30 @@ def _likeliest_type(
             groups = evidence[0].groups(model)
             estimate = _prior_of(sizes[model], members, groups, general)
             priors[model] = estimate if k == 0 else _halfway(priors[model], estimate)
-            common[model] = _common_errors(evidence, model, sizes[model], members, general)
+            # Errors in common are part of what each robot seems to deviate at first. Unless that is
+            # limited, it explains them, and they are never found.
+            largest = None if k > 0 else general
+            common[model] = _common_errors(evidence, model, sizes[model], members, general, largest)
         if k > 0 and _relative_change(last, priors[best]) < SIZE_TOLERANCE:
             break
-    return priors[best], common[best], best, members
+    return _with_other_groups(priors, best, evidence[0]), common[best], best, members
+
+
+def _with_other_groups(
+    priors: Mapping[str, RobotPrior], best: str, robot: RobotEvidence
+) -> RobotPrior:
+    """Return the best model's prior, with the sizes of other groups as smaller models have them.
+
+    With the sizes of any robot's errors in these groups, a robot of any type would belong.
+    """
+    prior, known = priors[best], {*robot.groups(best)}
+    medians, stds = dict(prior.group_medians), dict(prior.geometric_std_by_name)
+    for model, of_model in priors.items():
+        for group in {*robot.groups(model)} - known:
+            medians[group] = of_model.group_medians[group]
+            stds[group] = of_model.geometric_std_by_name[group]
+        known |= {*robot.groups(model)}
+    return dataclasses.replace(prior, group_medians=medians, geometric_std_by_name=stds)
 
 
 def _halfway(first: RobotPrior, second: RobotPrior) -> RobotPrior:
@@ -277,8 +297,18 @@ def _common_errors(
     sizes: Sequence[SizesOfErrors],
     members: Float[np.ndarray, "robots"],
     general: RobotPrior,
+    largest: RobotPrior | None = None,
 ) -> CommonErrorsOfType | None:
-    """Return the errors that robots have in common; None if these are not of one nominal arm."""
+    """Return the errors that robots have in common; None if these are not of one nominal arm.
+
+    Args:
+        evidence: what each robot's views say.
+        model: name of the model of the errors.
+        sizes: each robot's sizes of errors in this model.
+        members: weight of each robot.
+        general: prior for any robot.
+        largest: prior whose medians limit the sizes of what robots deviate; None for no limit.
+    """
     fields = [robot.arm_errors for robot in evidence]
     arms = {None if field is None else arm_parameters(field.arm) for field in fields}
     field = fields[0]
@@ -289,6 +319,10 @@ def _common_errors(
         for robot, entry in zip(evidence, sizes, strict=True)
         if entry.sigmas is not None
     ]
+    if largest is not None:
+        medians = largest.medians(field)[2:] ** 2
+        limits = np.repeat(medians, [size for _, size in field.groups])
+        robots = [robot._replace(variance=np.minimum(robot.variance, limits)) for robot in robots]
     return CommonErrorsOfType.of(field, robots, members, general)
 
 

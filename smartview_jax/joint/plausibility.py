@@ -9,6 +9,7 @@ calibration needs.
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from ..calibration import BOW, PRINT, Calibration
 from ..cameras import Camera, lens_name
@@ -21,7 +22,7 @@ from ..dataset import (
 )
 from ..engine import ROBOT_ERROR, TARGET_SCALE, Direction, step_names
 from ..geometry import host_matrices, vector_text
-from ..robot_errors import nominal_arm
+from ..robot_errors import ErrorsOfType, nominal_arm
 from ..variance import MIN_SHAPE_SIGMAS, TargetScaleEvidence
 from .bending import bending_warnings
 from .camera_like_errors import camera_like_errors
@@ -448,23 +449,39 @@ def _half_widths_with_last_joint_held(fit: JointFit) -> dict[str, float]:
     arm = nominal_arm(fit.calibration.field)
     if arm is None:
         return {}
-    names, last = fit.parameter_names, str(arm.joint_count)
+    names = fit.parameter_names
     mount = f"{fit.calibration.transform_names[0]}."
-    known = [
-        k
-        for k, name in enumerate(names)
-        if name.startswith(f"{ROBOT_ERROR}.") and name.split(".")[-1] == last
-    ]
+    known = _errors_of_joint(fit, str(arm.joint_count))
     wanted = [k for k, name in enumerate(names) if name.startswith(mount)]
-    if not known or not wanted:
+    if not len(known) or not wanted:
         return {}
     covariance = np.asarray(fit.covariance)
     # Cov(a | b) = P_aa - P_ab P_bb^-1 P_ba
-    across = covariance[np.ix_(wanted, known)]
-    explained = across @ np.linalg.pinv(covariance[np.ix_(known, known)], hermitian=True) @ across.T
+    across = covariance[wanted] @ known.T
+    explained = across @ np.linalg.pinv(known @ covariance @ known.T, hermitian=True) @ across.T
     conditional = np.diagonal(covariance[np.ix_(wanted, wanted)] - explained).clip(0.0)
     freedom = fit.degrees_of_freedom
     return {
         names[k]: half_width(float(np.sqrt(variance)), freedom[names[k]])
         for k, variance in zip(wanted, conditional, strict=True)
     }
+
+
+def _errors_of_joint(fit: JointFit, joint: str) -> Float[np.ndarray, "errors parameters"]:
+    """Return the derivatives of the fitted errors of a joint by the fit's parameters.
+
+    Of an arm whose type has common errors these are part of the joint's errors.
+    """
+    field = fit.calibration.field
+    assert field is not None
+    of_type = isinstance(field, ErrorsOfType)
+    errors = field.errors if of_type else field
+    by_coefficients = field.by_coefficients if of_type else np.eye(field.size)
+    fitted = {name: k for k, name in enumerate(fit.parameter_names)}
+    result = np.zeros((errors.size, len(fitted)))
+    for column, name in enumerate(field.names):
+        if f"{ROBOT_ERROR}.{name}" in fitted:
+            result[:, fitted[f"{ROBOT_ERROR}.{name}"]] = by_coefficients[:, column]
+    of_joint = [name.split(".")[-1] == joint for name in errors.names]
+    result = result[np.array(of_joint)]
+    return result[result.any(axis=1)]

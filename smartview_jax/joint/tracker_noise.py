@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from ..calibration import Calibration, host_mount_from_holder
 from ..dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
-from ..geometry import host_matrices, host_transforms
+from ..geometry import host_logarithms, host_matrices, host_transforms
 from ..robot_errors import RobotPrior
 from ..runtime.array_namespace import to_device
 from ..runtime.blas_threads import on_one_blas_thread
@@ -33,6 +33,10 @@ from .chain_covariance import in_named_parameters
 
 UNIT_ROUNDS = 2
 """Rounds in which the chain and the ratios of the tracker's noises are estimated in turn."""
+
+
+MIN_HYPOTHESIS_PROBABILITY = 0.01
+"""Probability below which a hypothesis on the noise is left out of the covariance."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,8 +106,7 @@ class TrackerNoise(NamedTuple):
         covariance: of the tracked poses, m and rad.
         evidence: logarithm of the evidence for it.
         correlation: of successive errors, in its standard deviations.
-        likeliest: the likeliest variances, with the pairs that tell them.
-        transforms: of the chain about which these pairs are linear.
+        hypotheses: all hypotheses on the noise that were compared, this one among them.
     """
 
     axis: DepthAxis
@@ -112,17 +115,46 @@ class TrackerNoise(NamedTuple):
     covariance: Float[np.ndarray, "views 6 6"]
     evidence: float
     correlation: float
-    likeliest: LikeliestVariances
-    transforms: tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]]
+    hypotheses: "tuple[NoiseHypothesis, ...]"
 
     @on_one_blas_thread
     def chain_covariance(self) -> Float[np.ndarray, "unknowns unknowns"]:
-        """Return the covariance of the chain over all sizes of the noises, not the likeliest alone.
+        """Return the covariance of the chain over all noises, not for the likeliest alone.
 
         It is in the order of the names of both transforms and of the scale's logarithm, if that is
         unknown.
         """
-        return in_named_parameters(averaged_covariance(self.likeliest), *self.transforms)
+        evidence = np.array([hypothesis.evidence for hypothesis in self.hypotheses])
+        probabilities = np.exp(evidence - np.logaddexp.reduce(evidence))
+        best = self.hypotheses[int(np.argmax(evidence))]
+        step = best.found.pairs.solved(best.found.variances)
+        covariance = np.zeros((len(step), len(step)))
+        for hypothesis, probability in zip(self.hypotheses, probabilities, strict=True):
+            if probability >= MIN_HYPOTHESIS_PROBABILITY:
+                about = step - hypothesis.offset_from(best)
+                covariance += probability * averaged_covariance(hypothesis.found, about)
+        return in_named_parameters(covariance, *best.transforms)
+
+
+class NoiseHypothesis(NamedTuple):
+    """A depth axis of the tracker's noise and a good or a weak robot, with the likeliest sizes.
+
+    Attributes:
+        found: the likeliest variances, with the pairs that tell them.
+        evidence: logarithm of the evidence, with the prior probability of the robot.
+        medians: of the prior on the robot's noise.
+        transforms: of the chain about which the pairs are linear.
+    """
+
+    found: LikeliestVariances
+    evidence: float
+    medians: Float[np.ndarray, "2"]
+    transforms: tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]]
+
+    def offset_from(self, other: "NoiseHypothesis") -> Float[np.ndarray, "unknowns"]:
+        """Return the step of the unknowns from the transforms of another hypothesis to these."""
+        steps = host_logarithms(np.stack(self.transforms) @ np.linalg.inv(other.transforms))
+        return np.pad(steps.ravel(), (0, self.found.pairs.by_unknowns.shape[2] - 12))
 
 
 class TrackedChain(NamedTuple):
@@ -159,7 +191,9 @@ def likeliest_noise(chain: TrackedChain) -> TrackerNoise:
     axes: tuple[DepthAxis, ...] = ("none", *DEPTH_AXES)
     factor = float(chain.calibration.target_scale)
     measured = chain._replace(data=in_metres(chain.data, factor))
-    return max((_tracker_noise(measured, axis) for axis in axes), key=lambda noise: noise.evidence)
+    noises = [_tracker_noise(measured, axis) for axis in axes]
+    best = max(noises, key=lambda noise: noise.evidence)
+    return best._replace(hypotheses=tuple(h for noise in noises for h in noise.hypotheses))
 
 
 def in_metres(data: PoseDataset, factor: float) -> PoseDataset:
@@ -230,12 +264,14 @@ def _tracker_noise(chain: TrackedChain, axis: DepthAxis) -> TrackerNoise:
     transforms = chain.transforms
     pairs = scaled_pairs(chain.data, *transforms, axis, chain.scale)
     used = pairs.of(chain.data.seen)
-    best = _likeliest(chain, used, np.ones(len(pairs.parts)))
+    hypotheses = _hypotheses(chain, used, np.ones(len(pairs.parts)), transforms)
+    best = max(hypotheses, key=lambda hypothesis: hypothesis.evidence)
     for _ in range(UNIT_ROUNDS - 1):
         transforms = moved_transforms(*transforms, used.solved(best.found.variances))
         pairs = scaled_pairs(chain.data, *transforms, axis, chain.scale)
         used = pairs.of(chain.data.seen)
-        best = _likeliest(chain, used, best.found.variances)
+        hypotheses = _hypotheses(chain, used, best.found.variances, transforms)
+        best = max(hypotheses, key=lambda hypothesis: hypothesis.evidence)
     # The last two are the robot's.
     variances = best.found.variances
     covariance = np.einsum("k,kvij->vij", variances[:-2], pairs.parts[:-2])
@@ -247,23 +283,17 @@ def _tracker_noise(chain: TrackedChain, axis: DepthAxis) -> TrackerNoise:
         covariance,
         best.evidence,
         correlation,
-        best.found,
-        transforms,
+        hypotheses,
     )
 
 
-class _Likeliest(NamedTuple):
-    """The likeliest variances, the logarithm of their evidence, and the robot's medians."""
-
-    found: LikeliestVariances
-    evidence: float
-    medians: Float[np.ndarray, "2"]
-
-
-def _likeliest(
-    chain: TrackedChain, pairs: LinearPairs, start: Float[np.ndarray, "parts"]
-) -> _Likeliest:
-    """Return the likeliest variances, of a good robot or of a weak one."""
+def _hypotheses(
+    chain: TrackedChain,
+    pairs: LinearPairs,
+    start: Float[np.ndarray, "parts"],
+    transforms: tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]],
+) -> tuple[NoiseHypothesis, ...]:
+    """Return the likeliest variances of a good robot, and of a weak one."""
     prior = chain.robot_prior
     weak = prior.weak_robot_probability
     weak_medians = np.array([prior.weak_translation_median, prior.weak_rotation_median])
@@ -272,8 +302,8 @@ def _likeliest(
         if probability > 0.0:
             best = likeliest_variances(pairs, start, noise_priors(chain, len(pairs.parts), medians))
             evidence = best.evidence + float(np.log(probability))
-            candidates.append(_Likeliest(best, evidence, medians))
-    return max(candidates, key=lambda candidate: candidate.evidence)
+            candidates.append(NoiseHypothesis(best, evidence, medians, transforms))
+    return tuple(candidates)
 
 
 def noise_priors(

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..robots import SerialArm
-from ..runtime.array_namespace import AnyArray, array_namespace, to_device_together
+from ..runtime.array_namespace import to_device_together
 from .arm_errors import AbstractArmErrors
 
 COMMON_ERROR = "common_error"
@@ -130,21 +130,26 @@ class ErrorsOfType(AbstractArmErrors):
         """The coefficients of an arm without any errors, whatever its type has."""
         return np.append(-np.asarray(self.mean), np.zeros(self.root.shape[1]))
 
-    def whole(self, coefficients: Float[AnyArray, "coefficients"]) -> Float[AnyArray, "errors"]:
+    def host_whole(
+        self, coefficients: Float[np.ndarray, "coefficients"]
+    ) -> Float[np.ndarray, "errors"]:
+        """Return the coefficients of `errors`, with the type's mean, computed with NumPy."""
+        return np.asarray(self.mean) + self.by_coefficients @ coefficients
+
+    def _whole(self, coefficients: Float[Array, "coefficients"]) -> Float[Array, "errors"]:
         """Return the coefficients of `errors`, with the type's mean."""
-        xp = array_namespace(coefficients)
         own, common = coefficients[: self.errors.size], coefficients[self.errors.size :]
-        return xp.asarray(self.mean) + own + xp.asarray(self.root) @ common
+        return self.mean + own + self.root @ common
 
     def actual_arm(self, coefficients: Float[Array, "coefficients"]) -> SerialArm:
-        return self.errors.actual_arm(self.whole(coefficients))
+        return self.errors.actual_arm(self._whole(coefficients))
 
     def joint_scale_factors(
         self, coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "joints"]:
-        return self.errors.joint_scale_factors(self.whole(coefficients))
+        return self.errors.joint_scale_factors(self._whole(coefficients))
 
     def joint_deflections(
         self, joints: Float[Array, "*views joints"], coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "*views joints"]:
-        return self.errors.joint_deflections(joints, self.whole(coefficients))
+        return self.errors.joint_deflections(joints, self._whole(coefficients))

@@ -42,8 +42,8 @@ class RobotError(HostModule):
         """The same error with the coefficients about zero, not about the mean of a type."""
         if not isinstance(self.field, ErrorsOfType):
             return self
-        coefficients = self.field.whole(np.asarray(self.coefficients))
-        return RobotError(self.field.errors, to_device(np.asarray(coefficients)))
+        coefficients = self.field.host_whole(np.asarray(self.coefficients))
+        return RobotError(self.field.errors, to_device(coefficients))
 
     def converted_to(self, field: AbstractField) -> "RobotError":
         """Return the error with another field, which has some of the same groups of coefficients.

@@ -162,20 +162,19 @@ class LinearisedViews(NamedTuple):
             root: a matrix R.
         """
         matrix, gradient, count = self.matrix, self.gradient, root.shape[1]
-        shared, offset = np.asarray(self.offset_from_prior.shared), np.zeros(count)
-        # The linearisation stays where it is, with u = 0.
-        shifted = shared.copy()
-        shifted[coefficients] -= mean
-        by_common = np.zeros((len(shared), count))
+        offset = np.array(self.offset_from_prior.shared)
+        by_common = np.zeros((len(offset), count))
         by_common[coefficients] = root
-        whole = np.concatenate([np.eye(len(shared)), by_common], axis=1)
+        whole = np.concatenate([np.eye(len(offset)), by_common], axis=1)
+        # The linearisation stays where it is, with u = 0.
+        offset[coefficients] -= mean
         return self._replace(
             matrix=with_fields(
                 matrix, shared=whole.T @ matrix.shared @ whole, border=matrix.border @ whole
             ),
             gradient=Step(gradient.shared @ whole, gradient.per_view),
             offset_from_prior=Step(
-                np.append(shifted, offset),  # pyright: ignore[reportArgumentType]
+                np.append(offset, np.zeros(count)),  # pyright: ignore[reportArgumentType]
                 self.offset_from_prior.per_view,
             ),
             known_weight=np.append(self.known_weight, np.ones(count)),
@@ -205,7 +204,10 @@ class LinearisedViews(NamedTuple):
                 matrix, shared=matrix.shared[np.ix_(kept, kept)], border=matrix.border[:, :, kept]
             ),
             gradient=Step(self.gradient.shared[kept], self.gradient.per_view),
-            offset_from_prior=Step(offset[kept], self.offset_from_prior.per_view),
+            offset_from_prior=Step(
+                offset[kept],  # pyright: ignore[reportArgumentType]
+                self.offset_from_prior.per_view,
+            ),
             known_weight=self.known_weight[kept],
             group_index=index - (index > removed) if len(removed) else index,
         )

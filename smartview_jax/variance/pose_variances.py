@@ -236,9 +236,9 @@ def likeliest_variances(
 
 
 def averaged_covariance(
-    likeliest: LikeliestVariances,
+    likeliest: LikeliestVariances, about: Float[np.ndarray, "unknowns"] | None = None
 ) -> Float[np.ndarray, "unknowns unknowns"]:
-    """Return the covariance of the unknowns about their likeliest values, over all sizes of noises.
+    """Return the covariance of the unknowns about an estimate, over all sizes of the noises.
 
     A few pairs do not tell the sizes. The covariance is the mean of the covariances at each size,
     by its posterior probability, plus the scatter of the estimates at these sizes (law of total
@@ -246,6 +246,7 @@ def averaged_covariance(
 
     Args:
         likeliest: the likeliest sizes, with proper priors.
+        about: the estimate, a step of the unknowns; by default the one at the likeliest sizes.
     """
     deviance, count = _Deviance(likeliest.pairs, likeliest.priors), len(likeliest.variances)
     # Importance sampling from a Student distribution about the likeliest logarithms, wider than
@@ -267,12 +268,12 @@ def averaged_covariance(
     if not weights.sum() > 0.0:
         return covariances[0]
     weights /= weights.sum()
-    scatter = steps[1:] - steps[0]
+    scatter = steps[1:] - (steps[0] if about is None else about)
     return np.tensordot(weights, covariances[1:], 1) + scatter.T @ (weights[:, None] * scatter)
 
 
 class _Deviance:
-    """-2 log of the restricted likelihood times the prior, of the logarithms of variances."""
+    """The deviance, -2 log of the restricted likelihood times the prior, by log variances."""
 
     def __init__(self, pairs: LinearPairs, priors: LogNormalPriors | None):
         self._pairs, self._priors = pairs, priors

@@ -10,6 +10,7 @@ from fit_scenes import scene_of
 from smartview_jax import fit_joint, fleet_prior, load_estimate
 from smartview_jax.fleet.empirical_bayes import _common_sizes, _shares
 from smartview_jax.joint import parameter_estimates
+from smartview_jax.joint.plausibility import _half_widths_with_last_joint_held
 from smartview_jax.robot_errors import RobotError, RobotPrior
 from smartview_jax.robots import six_axes
 from smartview_jax.runtime.array_namespace import to_device
@@ -79,7 +80,7 @@ def error_of(number):
 @pytest.fixture(scope="module")
 def of_type():
     """The prior of a type whose robots have wrong zeros in common, and the next robot's fit."""
-    prior = fleet_prior(fit_of(k, arm_error=error_of(k)) for k in range(5))
+    prior = fleet_prior(fit_of(k, arm_error=error_of(k)) for k in range(3))
     return prior, fit_of(5, prior=prior, arm_error=error_of(5))
 
 
@@ -113,6 +114,13 @@ def test_a_fit_about_its_type_is_printed_and_read_again(of_type, tmp_path):
     assert zero.value == pytest.approx(0.3, abs=0.1)
     assert abs(zero.value - np.rad2deg(error_of(5).coefficients[1])) < 2.0 * zero.half_width
     assert not any("common_error" in name for name in estimates)
+
+
+def test_the_zero_of_the_last_joint_is_named_with_what_its_type_leaves_open(of_type):
+    """No robot tells it, and so it is a part of what is uncertain of the type."""
+    _, fit = of_type
+    held = _half_widths_with_last_joint_held(fit)
+    assert min(held[name] / fit.confidence_half_width(name) for name in held) < 0.8
 
 
 def test_robots_of_a_type_are_known_by_fits_about_it(of_type):

@@ -18,6 +18,8 @@ from smartview_jax.geometry import host_adjoints, host_exponentials, host_logari
 from smartview_jax.joint import TrackerPrior
 from smartview_jax.joint.pose_start import start_from_poses
 from smartview_jax.joint.robust_hand_eye import robust_hand_eye
+from smartview_jax.joint.tracker_noise import TrackedChain, likeliest_noise
+from smartview_jax.robot_errors import RobotPrior
 from smartview_jax.simulation import random_scene
 
 
@@ -280,6 +282,9 @@ def test_a_robot_that_never_turns_is_named_with_the_option_that_ends_it():
         sv.fit_poses(data)
 
 
+FLAT = RobotPrior(target_bow_median=0.0, target_print_median=0.0)
+
+
 @pytest.mark.parametrize(("views", "seed"), [(3, 0), (4, 2)])
 def test_few_pairs_do_not_make_a_tracker_perfect(views, seed):
     """And three pairs fit a camera next to the arm as well as one on the hand.
@@ -291,6 +296,10 @@ def test_few_pairs_do_not_make_a_tracker_perfect(views, seed):
     assert translation == pytest.approx(TRACKER[0], rel=0.5)
     assert rotation == pytest.approx(TRACKER[1], rel=0.5)
     assert any("as well with every pose inverted" in text for text in fit.warnings) == (views == 3)
+    # The covariance is of all sizes of the noise, of which so few pairs tell little.
+    chain = TrackedChain(data_of(seed, views=views), fit.calibration, False, FLAT, TrackerPrior())
+    of_mount = np.diagonal(likeliest_noise(chain).chain_covariance())[:6]
+    assert (np.diagonal(covariance_of(fit)) > 0.9 * of_mount).all()
 
 
 def test_a_turn_of_one_joint_tells_no_size():

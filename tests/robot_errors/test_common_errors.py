@@ -14,6 +14,7 @@ from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.robot_errors import (
     CommonErrors,
     DHErrors,
+    ErrorsOfType,
     JointOffsets,
     LinearInPosition,
     RobotError,
@@ -68,6 +69,10 @@ def test_a_robot_without_errors_has_none_of_its_type(error, command):
 def test_a_smaller_field_has_all_that_the_type_has(error):
     sizes = [part.size - UNCERTAIN for part in error.field.nested_fields]
     assert sizes == [JointOffsets(ARM).size, DHErrors(ARM).size]
+    mean = np.zeros(DHErrors(ARM).size)
+    mean[-1] = 1e-3
+    of_links = ErrorsOfType.of(DHErrors(ARM), mean, np.zeros((len(mean), 1)))
+    assert [type(part.errors) for part in of_links.nested_fields] == [DHErrors]
     smaller = error.field.nested_fields[0]
     np.testing.assert_array_equal(smaller.mean, error.field.mean[: smaller.errors.size])
 
