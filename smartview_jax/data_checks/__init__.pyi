@@ -1,3 +1,5 @@
+from .border_misfit import find_border_misfit as find_border_misfit
+from .camera_checks import TRIED_LENSES as TRIED_LENSES
 from .camera_checks import CameraDoubt as CameraDoubt
 from .camera_checks import camera_misfit as camera_misfit
 from .camera_checks import camera_problem as camera_problem
@@ -35,6 +37,7 @@ from .set_up_drift import SetUpDrift as SetUpDrift
 from .set_up_drift import find_drift as find_drift
 from .shifted_numbering import find_shifted_numbering as find_shifted_numbering
 from .shifted_numbering import shift_text as shift_text
+from .stuck_joints import stuck_joints as stuck_joints
 from .target_checks import collinear_views as collinear_views
 from .target_checks import mismatched_views as mismatched_views
 from .usable_views import MINIMUM_POINTS as MINIMUM_POINTS

@@ -50,7 +50,7 @@ class MovedCamera(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """Which camera was moved, from which state on, and what to do, in words."""
+        """The camera that was moved, from which state on, and what to do, in words."""
         causes = ", or as if ".join(self._cause(change) for change in self.report.changes)
         first, second = self.pair
         return (

@@ -3,6 +3,7 @@
 from ..calibration import Calibration
 from ..cameras import Camera
 from .dataset import Dataset
+from .pose_dataset import PoseDataset
 
 
 def require_picture_size(what: str, camera: Camera, image_size: tuple[int, int]) -> None:
@@ -35,4 +36,6 @@ def require_same_set_up(what: str, calibration: Calibration, data: Dataset) -> N
     """Raise a ValueError for a calibration of another mount, or of pictures of another size."""
     if calibration.mount != data.mount:
         raise ValueError(f"mount: {what} is {calibration.mount}, but the data are {data.mount}")
-    require_picture_size(f"{what}'s camera", calibration.camera, data.image_size)
+    # Tracked poses have no pictures.
+    if not isinstance(data, PoseDataset):
+        require_picture_size(f"{what}'s camera", calibration.camera, data.image_size)

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration
 from ..cameras import AbstractLens
-from ..dataset import Dataset, repetition_warnings, stale_poses
+from ..dataset import Dataset, repetition_warnings, require_same_set_up, stale_poses
 from ..engine import (
     AbstractLoss,
     BuiltProblem,
@@ -311,8 +311,9 @@ def _with_checked_poses(
     Returns:
         The data sets that can be fitted, by number; the parameters to hold, which no motion of the
         robots determines, as in `fit_joint`; warnings that name the views that are left out; and
-        the errors, by number: a robot that did not move or rotate, or whose motion leaves other
-        parameters undetermined than the first one's, since all fits have the same parameters.
+        the errors, by number: pictures of another size than the start's; a robot that did not move
+        or rotate, or whose motion leaves other parameters undetermined than the first one's, since
+        all fits have the same parameters.
     """
     checked: dict[int, Dataset] = {}
     held: tuple[str, ...] = ()
@@ -320,6 +321,7 @@ def _with_checked_poses(
     errors: dict[int, str] = {}
     for k, (item, start) in enumerate(zip(data, starts, strict=True)):
         try:
+            require_same_set_up("the start", start, item)
             require_moving_robot(item, start, choice)
         except ValueError as error:
             errors[k] = str(error)

@@ -12,9 +12,11 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool
 
-from ..cameras import AbstractLens, Camera, initial_lens
+from ..cameras import AbstractLens, Camera, initial_lens, lens_name
 from ..data_checks import (
+    TRIED_LENSES,
     CameraDoubt,
+    find_border_misfit,
     find_flexible_target,
     mask_unusable_views,
     minimum_points,
@@ -118,15 +120,13 @@ class PictureFit(NamedTuple):
             self.common,
             self.steps.lens,
             self.steps.camera is not None,
-            lambda name: self.step2_from(
-                dataclasses.replace(
-                    self.step1.camera, lens=initial_lens(name, self.step1.camera.lens)
-                ),
-                self.step1.camera_from_world,
-            ),
+            self._with_lens,
         )
         if doubt is not None:
             return doubt, (doubt.text,)
+        border = self._border_doubt(used)
+        if border:
+            return None, (border,)
         if self.stretched is not None:
             return None, ()
         bending = find_flexible_target(
@@ -136,6 +136,34 @@ class PictureFit(NamedTuple):
             self.common.camera_from_world,
         )
         return None, () if bending is None else (bending.sentence,)
+
+    def _with_lens(self, name: str) -> CommonCameraFit:
+        """Run Step 2 again with another lens."""
+        lens = initial_lens(name, self.step1.camera.lens)
+        return self.step2_from(
+            dataclasses.replace(self.step1.camera, lens=lens), self.step1.camera_from_world
+        )
+
+    def _border_doubt(self, used: Bool[np.ndarray, "views"]) -> str:
+        """Return that the lens does not fit the border, and which one does; or nothing."""
+        common, steps = self.common, self.steps
+        inliers = np.asarray(common.inliers)
+        misfit = find_border_misfit(
+            self.observations, used, inliers, common.camera, common.camera_from_world
+        )
+        if misfit is None:
+            return ""
+        if steps.camera is not None:
+            return misfit.sentence("the known camera", None)
+        name = steps.lens if isinstance(steps.lens, str) else lens_name(steps.lens)
+        kept = {
+            other: int(np.count_nonzero(np.asarray(self._with_lens(other).inliers)[used]))
+            for other in TRIED_LENSES
+            if other != name
+        }
+        best = max(kept, key=lambda other: kept[other])
+        gain = kept[best] - int(np.count_nonzero(inliers[used]))
+        return misfit.sentence(f"the lens {name}", best if 2 * gain > misfit.left_out else None)
 
 
 def fit_pictures(data: Dataset, steps: CameraSteps) -> PictureFit:

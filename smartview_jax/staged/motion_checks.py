@@ -26,6 +26,7 @@ from ..data_checks import (
     pose_findings,
     shift_text,
     stale_views,
+    stuck_joints,
     target_turns,
 )
 from ..dataset import Dataset, contradictory_views, repeated_pose_reason
@@ -170,7 +171,10 @@ def _with_mistake_in_joints(
     if not text:
         lengths = find_other_arm(readings, data.arm, camera_from_world, data.mount, used)
         text = "" if lengths is None else lengths.sentence
-    return report._replace(problems=(text,), explained=True) if text else report
+    if text:
+        return report._replace(problems=(text,), explained=True)
+    stuck = stuck_joints(readings, used, data.view_ids) if report.problems else ""
+    return report._replace(problems=(stuck, *report.problems)) if stuck else report
 
 
 def _with_fault_of_many_views(

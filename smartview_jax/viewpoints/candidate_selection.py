@@ -49,6 +49,9 @@ def best_candidates(
         say: called with a text for each stage.
     """
     allowed_count = int(np.sum(allowed))
+    # A pose that no joints reach is NaN: in a sum it would make every candidate NaN.
+    finite = np.isfinite(np.asarray(information)).all(axis=(1, 2), keepdims=True)
+    information = to_device(np.where(finite, np.asarray(information), 0.0))
     say(f"choosing {count} of {allowed_count} candidates")
     # Greedy selection is fast but depends on the order; exchange corrects its early choices.
     index = greedy_selection(information, prior_information, criterion, count, allowed)
@@ -59,7 +62,9 @@ def best_candidates(
 def require_enough(count: int, allowed: Bool[AnyArray, "candidates"], kind: str) -> None:
     """Raise a ValueError unless `count` candidates, called by their kind, may be taken."""
     most = int(np.sum(allowed))
-    if not 1 <= count <= most:
+    if count < 1:
+        raise ValueError(f"count: expected at least 1, found {count}")
+    if count > most:
         raise ValueError(
             f"{count} {kind} requested, but only {most} of {len(allowed)} candidates may be taken"
         )
@@ -201,6 +206,31 @@ class ViewRequirements:
     border_margin: float = 0.0
     min_visible_fraction: float = 1.0
     allowed: Callable[[SE3], Bool[AnyArray, "views"]] | None = None
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.border_margin < np.inf:
+            raise ValueError(f"border_margin: expected px, at least 0, found {self.border_margin}")
+        if not 0.0 <= self.min_visible_fraction <= 1.0:
+            raise ValueError(
+                f"min_visible_fraction: expected 0 to 1, found {self.min_visible_fraction}"
+            )
+
+    def may_be_taken(self, poses: SE3) -> Bool[np.ndarray, "views"]:
+        """Return which poses are finite and allowed.
+
+        Raises:
+            ValueError: `allowed` does not return a flag for each view.
+        """
+        finite = np.isfinite(np.asarray(poses.wxyz_xyz)).all(axis=1)
+        if self.allowed is None:
+            return finite
+        allowed = np.asarray(self.allowed(poses))
+        if allowed.shape != finite.shape:
+            raise ValueError(
+                f"allowed: expected a flag for each of {len(finite)} views, found an array of "
+                f"shape {allowed.shape}"
+            )
+        return finite & allowed
 
 
 class RequirementOptions(TypedDict, total=False):

@@ -71,8 +71,7 @@ def choose_states(
     admissible[rig.usable_views()] = True
     if not isinstance(candidates, Rig):
         admissible &= _largest_visible_fraction(rig) >= needs.min_visible_fraction - 1e-9
-    if needs.allowed is not None:
-        admissible &= np.asarray(needs.allowed(rig.base_from_tool))
+    admissible &= needs.may_be_taken(rig.base_from_tool)
     require_enough(count, admissible, "states")
     say("computing what each state would tell")
     information, prior = model.information(rig), model.prior_information

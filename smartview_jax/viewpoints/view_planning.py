@@ -122,7 +122,8 @@ def choose_views(
 
     Raises:
         TypeError: views of a wrong type.
-        ValueError: fewer than `count` candidates may be taken.
+        ValueError: fewer than `count` candidates may be taken (one that is not finite never), or
+            a requirement out of range.
 
     For example:
 
@@ -153,8 +154,7 @@ def choose_views(
     def is_admissible(poses: SE3) -> Bool[Array, "views"]:
         visible = visible_fraction(information_model, poses, needs.border_margin)
         enough_visible = visible >= needs.min_visible_fraction - 1e-9
-        allowed_views = True if needs.allowed is None else np.asarray(needs.allowed(poses))
-        return to_device(enough_visible & allowed_views)
+        return to_device(enough_visible & needs.may_be_taken(poses))
 
     if isinstance(views, ViewRange):
         coordinates = views.sample(np.random.default_rng(seed), DEFAULT_CANDIDATE_COUNT)

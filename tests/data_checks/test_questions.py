@@ -91,3 +91,17 @@ def test_a_camera_that_does_not_fit_does_not_hide_how_the_poses_are_wrong(wrong,
     assert second.startswith("the known camera does not fit these pictures")
     (problem,) = fit_staged(inverted, camera=camera, conventions="report").conventions.problems
     assert "every pose is inverted" in problem
+
+
+def test_a_camera_that_fits_the_middle_alone_is_doubted(wrong, scene):
+    """The points near the border are left out as outliers, and what is left fits."""
+    camera = scene.calibration.camera
+
+    def bent(pixels):
+        rays = pixels - [float(camera.u0), float(camera.v0)]
+        radii = np.linalg.norm(rays, axis=2, keepdims=True)
+        far = radii > np.nanquantile(radii, 0.95)
+        return np.clip(np.where(far, pixels + 12.0 * rays / radii, pixels), 0.0, [639.0, 479.0])
+
+    (text,) = fit_staged(wrong(pixels=bent), camera=camera).warnings
+    assert text.startswith("the known camera does not fit the border of the pictures: of")

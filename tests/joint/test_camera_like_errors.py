@@ -43,6 +43,15 @@ def test_an_image_stabiliser_is_named(scene):
     assert "focus" not in text
 
 
+def test_a_camera_that_was_knocked_once_is_no_stabiliser(scene):
+    """It tilts the camera as well, but between two views only."""
+    knock = np.where(np.arange(MANY_VIEWS) < MANY_VIEWS // 2, 0.0, 20.0)
+    shift = knock[:, None, None] * [0.8, -0.6]
+    text = warnings_of(scene, np.asarray(scene.data.pixels) + shift)
+    assert "implausibly large error of the robot" in text
+    assert "stabiliser" not in text
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_weak_robot_is_no_camera_that_changes(seed):
     weak = scene_of(seed, MANY_VIEWS, translation_noise=3e-3, rotation_noise=np.deg2rad(0.5))

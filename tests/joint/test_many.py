@@ -44,12 +44,15 @@ def test_poses_are_checked_as_in_one_fit(scenes):
     first = scenes[1]
     still = SE3(jnp.broadcast_to(first.base_from_tool.wxyz_xyz[0], (VIEWS, 7)))
     unmoved = dataclasses.replace(first, base_from_tool=still)
-    told = fit_many([first, unmoved, first], paper_calibration())
+    halved = dataclasses.replace(first, pixels=first.pixels / 2.0, image_size=(320, 240))
+    told = fit_many([first, unmoved, first, halved], paper_calibration())
     with pytest.raises(ValueError, match=r"data\[1\]: all \d+ robot poses are equal"):
         told[1]
     assert np.isnan(told.covariance[1]).all()
     assert told.errors[0] is None
-    assert told.converged.tolist() == [True, False, True]
+    assert told.converged.tolist() == [True, False, True, False]
+    with pytest.raises(ValueError, match=r"data\[3\]: the start's camera takes pictures of 640 x"):
+        told[3]
     stale_pose = first.base_from_tool.wxyz_xyz.at[3].set(first.base_from_tool.wxyz_xyz[2])
     stale = dataclasses.replace(first, base_from_tool=SE3(stale_pose))
     hidden = eqx.tree_at(lambda d: d.visible, first, first.visible.at[3].set(False))

@@ -251,6 +251,36 @@ def test_views_that_may_not_be_taken_are_not_and_too_few_are_an_error(directions
         choose_views(directions, d_optimal(), 13, poses, min_visible_fraction=0.3)
 
 
+def test_a_pose_that_is_not_finite_is_not_chosen_and_changes_no_other(directions, candidates):
+    """Inverse kinematics give NaN where no joints reach a pose."""
+    poses, _ = candidates
+    others = choose_views(directions, d_optimal(), CHOSEN, poses, min_visible_fraction=0.3)
+    with_nan = SE3(jnp.concatenate([poses.wxyz_xyz, jnp.full((1, 7), jnp.nan)]))
+    for fraction in (0.3, 0.0):
+        chosen = choose_views(
+            directions, d_optimal(), CHOSEN, with_nan, min_visible_fraction=fraction
+        ).camera_from_world.wxyz_xyz
+        assert np.isfinite(chosen).all()
+        assert len(np.unique(chosen, axis=0)) == CHOSEN
+        if fraction:
+            np.testing.assert_allclose(chosen, others.camera_from_world.wxyz_xyz)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"border_margin": -1.0}, "border_margin: expected px, at least 0, found -1.0"),
+        ({"min_visible_fraction": 80.0}, "min_visible_fraction: expected 0 to 1, found 80.0"),
+        ({"allowed": lambda _: np.ones(5, dtype=bool)}, "a flag for each of 12 views, found an ar"),
+        ({"count": 0}, "count: expected at least 1, found 0"),
+    ],
+)
+def test_requirements_out_of_range_are_named(directions, candidates, wrong, message):
+    arguments: dict = {"count": CHOSEN} | wrong
+    with pytest.raises(ValueError, match=message):
+        choose_views(directions, d_optimal(), views=candidates[0], **arguments)
+
+
 def test_the_curve_falls_and_says_when_to_stop(survey, goal, candidates):
     _, information = candidates
     values = cumulative_criterion(information, survey.prior_information, goal)
