@@ -93,7 +93,7 @@ def test_what_is_wrong_is_named():
     for radius, message in [
         (0.0, "positive"),
         (np.array([0.001, 0.002]), "expected one number or 14"),
-        (0.5, "view 0: circle 1 is visible, but"),
+        (0.5, "view 0: circle 0 is visible, but"),
     ]:
         with pytest.raises(ValueError, match=message):
             sv.correct_circle_centres(data, scene.calibration, radius)
