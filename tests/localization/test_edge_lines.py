@@ -28,7 +28,7 @@ def test_a_batch_and_its_gradients_are_those_of_single_poses(views, wireframe):
     """The numbers are measured minus predicted: they fall by what the prediction rises."""
     lookup = EdgeLookup.of(drawn(MODEL, views, POSE, 0.05), views.camera.image_size)
     # By NumPy: JAX would compile two programs for each kind of array.
-    first = jax.tree.map(lambda x: np.asarray(x)[0], lookup)
+    first = jax.tree.map(lambda x: jax.device_put(np.asarray(x)[0]), lookup)
     true = jnp.asarray(views.camera_from_world[0] @ POSE)
     weights = np.random.default_rng(1).standard_normal(wireframe.edges.shape)
 
