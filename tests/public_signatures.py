@@ -133,7 +133,8 @@ class _Loader(SourceFileLoader):
         # After the module's docstring, if it has one.
         has_docstring = ast.get_docstring(tree) is not None
         tree.body[has_docstring:has_docstring] = _IMPORTS
-        return compile(ast.fix_missing_locations(tree), path, "exec", dont_inherit=True)
+        # What is added was parsed as well, and so has a place in some file: none is missing.
+        return compile(tree, path, "exec", dont_inherit=True)
 
 
 def _replace(old: Iterable[Path], file: Path, content: bytes) -> None:

@@ -240,8 +240,9 @@ def fit_poses(
     if data.states_covariance and tracker_prior is not None:
         raise ValueError("tracker_prior: the data set states the covariance of each pose already")
     camera = data.camera if camera is None else camera
-    has_camera = camera is not None
-    blank = blank_calibration(data, camera)
+    # Fitted without it: poses do not tell of a camera, and each size of picture and each lens would
+    # be another program.
+    blank = blank_calibration(data)
     check_start(start, data)
     choice = ParameterChoice.of(fixed, (TARGET_SCALE,) if scale else (), priors)
     require_moving_robot(data, blank, choice)
@@ -302,7 +303,13 @@ def fit_poses(
         scaled = in_tracker_units(drift.covariance, float(calibration.target_scale))
         covariance = to_device(scaled)
     data = dataclasses.replace(data, covariance=covariance)
-    return PoseFit.of(fit, data, has_camera, drift)
+    fit = PoseFit.of(fit, data, camera is not None, drift)
+    if camera is None:
+        return fit
+    calibration, start = (
+        dataclasses.replace(each, camera=camera) for each in (fit.calibration, fit.start)
+    )
+    return dataclasses.replace(fit, calibration=calibration, start=start)
 
 
 def tracked_pose_errors(

@@ -63,7 +63,7 @@ def start_from_poses(data: PoseDataset) -> PoseStart:
     Raises:
         ValueError: as `fit_poses`.
     """
-    blank = blank_calibration(data, None)
+    blank = blank_calibration(data)
     require_moving_robot(data, blank, ParameterChoice.of())
     return start_of_poses(data, blank, None, False)
 
@@ -217,10 +217,10 @@ def _check_conventions(data: PoseDataset, agreement: _Agreement) -> tuple[tuple[
     return (() if fault is None else (fault.sentence,)) + report.ambiguities, unit_doubt
 
 
-def blank_calibration(data: PoseDataset, camera: Camera | None) -> Calibration:
-    """Return a calibration whose transforms are not known yet."""
+def blank_calibration(data: PoseDataset) -> Calibration:
+    """Return a calibration without a camera, whose transforms are not known yet."""
     identity = host_transforms(np.eye(4))
-    return Calibration(camera or NO_CAMERA, identity, identity, data.mount)
+    return Calibration(NO_CAMERA, identity, identity, data.mount)
 
 
 def _likelier_unit(given: TrackedChain, scaled: TrackedChain) -> LikeliestDrift | None:

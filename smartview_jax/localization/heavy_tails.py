@@ -170,16 +170,32 @@ class _Fit(NamedTuple):
     Attributes:
         solution: the unknowns.
         information: of the solution, the inverse of its covariance.
+        whitened: a root of its covariance, `W^T W`.
+        squares: of the errors of each edge's numbers, px^2.
         squared: as in `HeavyTailedStep`.
         weights: updated weights of the edges; one for an edge that is off by its scale.
-        log_likelihood: of the scales, with the unknowns integrated out (Laplace).
     """
 
     solution: Float[np.ndarray, "unknowns"]
     information: Float[np.ndarray, "unknowns unknowns"]
+    whitened: Float[np.ndarray, "unknowns unknowns"]
+    squares: Float[np.ndarray, "edges 2"]
     squared: Float[np.ndarray, "edges"]
     weights: Float[np.ndarray, "edges"]
-    log_likelihood: float
+
+    def log_likelihood(
+        self, prior: Float[np.ndarray, "unknowns unknowns"], variances: Float[np.ndarray, "edges 2"]
+    ) -> float:
+        """Return the log-likelihood of the scales, with the unknowns integrated out (Laplace).
+
+        -log p = log|V| / 2 + (nu + 2) / 2 log(1 + e^T V^-1 e / nu) for Student's t; the common
+        errors have their prior, and integrating the unknowns out adds log|A| / 2.
+        """
+        nu = DEGREES_OF_FREEDOM
+        tails = (nu + NUMBERS) * np.log1p((self.squares / variances).sum(axis=1) / nu).sum()
+        common = self.solution @ prior @ self.solution
+        determinant = -2.0 * np.log(np.diagonal(self.whitened)).sum()
+        return -0.5 * float(np.log(variances).sum() + tails + common + determinant)
 
 
 def _likeliest(
@@ -198,9 +214,10 @@ def _likeliest(
     """
     tried: list[tuple[float, _Fit, float]] = []
     for sigma in EDGE_SIGMAS:
-        fit = _fit(unknowns, variances + np.square(sigma * shape), weights)
+        scaled = variances + np.square(sigma * shape)
+        fit = _fit(unknowns, scaled, weights)
         # A scale has to gain something to be used.
-        gain = fit.log_likelihood - (LEAST_GAIN if sigma else 0.0)
+        gain = fit.log_likelihood(unknowns.prior, scaled) - (LEAST_GAIN if sigma else 0.0)
         tried.append((gain, fit, sigma))
         if gain < max(tried, key=itemgetter(0))[0] - MAX_LOG_LIKELIHOOD_LOSS:
             break
@@ -244,13 +261,8 @@ def _reweighted(
     information = G.T @ rows + prior
     whitened = whitening(information)
     solution = whitened.T @ (whitened @ (rows.T @ r))
-    square = (r - G @ solution).reshape(-1, NUMBERS) ** 2
-    spread = np.square(G @ whitened.T).sum(axis=1).reshape(-1, NUMBERS)
-    squared = ((square + spread) / variances).sum(axis=1)
-    # -log p = log|V| / 2 + (nu + 2) / 2 log(1 + e^T V^-1 e / nu) for Student's t; the common
-    # errors have their prior, and integrating the unknowns out adds log|A| / 2.
-    tails = (nu + NUMBERS) * np.log1p((square / variances).sum(axis=1) / nu).sum()
-    common = solution @ prior @ solution
-    determinant = -2.0 * np.log(np.diagonal(whitened)).sum()
-    likelihood = -0.5 * float(np.log(variances).sum() + tails + common + determinant)
-    return _Fit(solution, information, squared, (nu + NUMBERS) / (nu + squared), likelihood)
+    squares = ((r - G @ solution) ** 2).reshape(-1, NUMBERS)
+    spread = G @ whitened.T
+    spread = np.einsum("ij,ij->i", spread, spread).reshape(-1, NUMBERS)
+    squared = ((squares + spread) / variances).sum(axis=1)
+    return _Fit(solution, information, whitened, squares, squared, (nu + NUMBERS) / (nu + squared))

@@ -196,14 +196,15 @@ def whitening(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]
     Raises:
         UndeterminedPoseError: the information is singular.
     """
-    diagonal = np.diagonal(information)
-    if not (np.isfinite(diagonal).all() and (diagonal > 0.0).all()):
+    diagonal = information.diagonal()
+    # Smallest and largest are NaN if any number is, which compares as False.
+    if not 0.0 < diagonal.min() <= diagonal.max() < np.inf:
         raise UndeterminedPoseError("the pose is undetermined: too few features")
     # Correlations instead of covariances, so that metres and radians keep their precision.
     scale = np.sqrt(diagonal)
-    factor = np.asarray(inverse_cholesky_factor(information / np.outer(scale, scale)))
+    factor = np.asarray(inverse_cholesky_factor(information / (scale[:, None] * scale)))
     # NaN, where the matrix is not positive definite, compares as False.
-    if not np.diagonal(factor).max() ** -2 >= MIN_OWN_INFORMATION:
+    if not factor.diagonal().max() ** -2 >= MIN_OWN_INFORMATION:
         raise UndeterminedPoseError(
             "the pose is undetermined: too few features, or all on one line"
         )

@@ -67,7 +67,7 @@ def test_tracked_poses_have_a_row_in_millimetres(folders, tmp_path):
     broken.write_text("samples: []")
     save_dataset(PoseDataset.from_poses(robot, measured), tmp_path / "poses")
     data_sets = (file, broken, tmp_path / "poses", folders[0])
-    options = (*OPTIONS[len(LENS) :], "--mount", "eye_in_hand")
+    options = (*OPTIONS, "--mount", "eye_in_hand")
     ended = run("calibrate", *data_sets, *options, "--out", tmp_path / "out")
     assert ended.exit_code == 2
     rows = {row[0]: row[1:] for row in map(str.split, ended.stdout.splitlines()) if row}

@@ -1,54 +1,35 @@
 """`smartview localize`: from pictures, poses and models to where objects are."""
 
+import dataclasses
 import json
 import shutil
-from itertools import pairwise
 
 import cv2
 import numpy as np
 import pytest
 from board_scene import run
+from seen_scene import CALIBRATION, POSES, SAMPLES, base_from_tool, seen_scene
 
 from smartview_jax import localization
-from smartview_jax.geometry import host_matrices
-from smartview_jax.io import (
-    load_object_views,
-    object_sample_folder,
-    save_object_model,
-    write_mesh,
-    write_object_views,
-)
+from smartview_jax.io import save_object_model, write_mesh, write_object_views
 from smartview_jax.modeling import Face, ObjectModel
-from smartview_jax.simulation import box, paper_calibration
-
-CENTRE = np.array([0.018, -0.014, 0.007])
-"""The middle of the sample's block, to the millimetre, m."""
+from smartview_jax.simulation import box
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Two pictures of the sample's block, its model about its middle, and one of a slab."""
-    path, sample = tmp_path_factory.mktemp("localize"), object_sample_folder()
-    views = load_object_views(sample / "object")
-    poses = host_matrices(views.base_from_tool)[1:3]
-    write_object_views(path / "views", ["left", "right"], views.pictures[1:3], poses)
-    truth = json.loads((sample / "truth.json").read_text())
-    loops = truth["faces"]
-    edges = {tuple(sorted(pair)) for one in loops for pair in pairwise([*one, one[0]])}
-    model = ObjectModel(
-        np.array(truth["vertices"]) - CENTRE,
-        np.array(sorted(edges)),
-        tuple(Face(tuple(one)) for one in loops),
-        name="block",
-    )
-    save_object_model(model, path / "block.json")
+    """The pictures of the seen scene, the model of its stepped block, and one of a slab."""
+    path, scene = tmp_path_factory.mktemp("localize"), seen_scene()
+    write_object_views(path / "views", ["left", "right"], scene.pictures, base_from_tool())
+    block = dataclasses.replace(scene.models[0], name="block")
+    save_object_model(block, path / "block.json")
     slab = box(0.05, 0.01, 0.01)
     faces = tuple(Face(tuple(one)) for one in slab.faces)
     save_object_model(
         ObjectModel(slab.vertices, slab.edges, faces, name="slab"), path / "slab.json"
     )
     write_mesh(ObjectModel(slab.vertices + 1.0, slab.edges, faces), path / "far.stl")
-    paper_calibration().save(path / "calibration.yaml")
+    CALIBRATION.save(path / "calibration.yaml")
     return path
 
 
@@ -74,6 +55,7 @@ def search(folder, tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("smartview_jax.localize", spied)
+        patch.setattr("smartview_jax.localization.candidates.FIT_SAMPLES", SAMPLES)
         done = run(*words(folder, "--out", page, "--occluder", folder / "far.stl"))
     return done, page.read_text(), found[0]
 
@@ -88,11 +70,11 @@ def test_a_found_object_is_said_shown_and_can_be_grasped(folder, search):
     # The columns are two blanks apart; the third is the pose.
     text = said[1].split("  ")[2].strip()
     numbers = np.array([float(word) for word in text.split(",")])
-    # The robot errs by 0.03 mm and 0.005 degrees per axis, at 0.2 m from the object.
-    np.testing.assert_allclose(numbers[:3], CENTRE, atol=3e-4)
-    np.testing.assert_allclose(numbers[3:], 0.0, atol=0.3)
+    turn = np.degrees(np.arctan2(POSES[0][1, 0], POSES[0][0, 0]))
+    np.testing.assert_allclose(numbers[:3], POSES[0][:3, 3], atol=3e-4)
+    np.testing.assert_allclose(numbers[3:], [turn, 0.0, 0.0], atol=0.3)
     assert page.count("data:image/jpeg") == 2
-    given = ["--object-pose", text, "--grasp-pose", "0,0,0,0,180,0"]
+    given = ["--object-pose", text, "--grasp-pose", "0,0,0.01,0,180,0"]
     grasp = run("grasp", folder / "calibration.yaml", *given, "--json")
     assert grasp.exit_code == 0, grasp.output
 
@@ -152,7 +134,7 @@ def test_what_is_wrong_is_named_before_the_search(folder, more, models, said):
 
 def test_a_bad_picture_is_named(folder, tmp_path):
     shutil.copytree(folder / "views", tmp_path / "views")
-    size = paper_calibration().camera.image_size
+    size = CALIBRATION.camera.image_size
     picture = tmp_path / "views" / "images" / "right.png"
     for shape, said in ((size[::-1], "right.png: "), ((48, 64), "right.png: ")):
         cv2.imwrite(str(picture), np.full(shape, 90, np.uint8))

@@ -3,16 +3,11 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from fit_scenes import scene_of
 
 import smartview_jax as sv
 from smartview_jax.detection import circle_radii, detect, predicted_bias
-from smartview_jax.simulation import (
-    look_at_from_above,
-    paper_calibration,
-    paper_points,
-    random_scene,
-    render,
-)
+from smartview_jax.simulation import look_at_from_above, paper_calibration, render
 from smartview_jax.targets import Chessboard, CircleGrid, StackedTarget
 
 RADIUS = 0.004
@@ -20,7 +15,7 @@ RADIUS = 0.004
 
 def biased_scene():
     """Noise-free views, with every centre where a detector would find it."""
-    scene = random_scene(seed=3, views=8, points=paper_points((0.0,)), pixel_noise=0.0)
+    scene = scene_of(3, pixel_noise=0.0)
     radii = jnp.full(scene.data.points.shape[1], RADIUS)
     bias, _ = predicted_bias(scene.calibration, scene.data.observations, radii)
     return scene, dataclasses.replace(scene.data, pixels=scene.data.pixels + bias)
@@ -97,8 +92,8 @@ def test_what_is_wrong_is_named():
     scene, data = biased_scene()
     for radius, message in [
         (0.0, "positive"),
-        (np.array([0.001, 0.002]), "expected one number or 42"),
-        (0.5, "view 0: circle 1 is visible, but"),
+        (np.array([0.001, 0.002]), "expected one number or 14"),
+        (0.5, "view 0: circle 0 is visible, but"),
     ]:
         with pytest.raises(ValueError, match=message):
             sv.correct_circle_centres(data, scene.calibration, radius)

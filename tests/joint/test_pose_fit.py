@@ -5,12 +5,13 @@ import itertools
 
 import numpy as np
 import pytest
+from programs import programs_added
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation, Slerp
 from tracked_scene import MOUNT, ROBOT, TRACKER, VIEWS, WORLD, data_of, tracked, turned
 
 import smartview_jax as sv
-from smartview_jax.cameras import Camera, Pinhole
+from smartview_jax.cameras import Camera, OpenCV4, Pinhole
 from smartview_jax.dataset import PoseDataset
 from smartview_jax.engine import Prior
 from smartview_jax.evaluation import mean_nees, nees
@@ -27,6 +28,16 @@ from smartview_jax.simulation import random_scene
 def fit():
     camera = Camera(900.0, 900.0, 320.0, 240.0, Pinhole(), (640, 480))
     return sv.fit_poses(data_of(0), camera=camera, field=None)
+
+
+def test_the_camera_takes_no_part_in_the_fit(fit):
+    """With a picture of another size and another lens no other program is compiled."""
+    other = Camera(500.0, 510.0, 400.0, 300.0, OpenCV4(0.1, 0.0, 0.0, 0.0), (800, 600))
+    with programs_added() as seconds:
+        again = sv.fit_poses(data_of(0), camera=other, field=None)
+    assert seconds == []
+    assert again.calibration.camera is other
+    np.testing.assert_array_equal(again.covariance, fit.covariance)
 
 
 def error_of(fit):

@@ -1,8 +1,9 @@
 """Two views of the placed box, and how uncertain a robot makes them."""
 
 import pytest
-from drawn_edges import SAMPLES, calibration, seen_views
+from drawn_edges import calibration, seen_views
 from placed_box import MIDDLE, MODEL, NOISE
+from seen_scene import SAMPLES
 
 from smartview_jax.localization import Wireframe
 from smartview_jax.modeling import CalibrationUncertainty

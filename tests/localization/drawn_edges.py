@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import ConvexHull, Delaunay
+from seen_scene import IMAGE_SIZE
 
 import smartview_jax as sv
 from smartview_jax.cameras import OpenCV5
@@ -17,15 +18,6 @@ from smartview_jax.geometry import host_matrices, look_at
 from smartview_jax.localization import Wireframe, predict_view
 from smartview_jax.modeling import SeenViews
 from smartview_jax.runtime.compilation import compiled
-
-IMAGE_SIZE = (640, 480)
-"""Of all pictures in the tests of this room, so that they share compiled programs."""
-
-SAMPLES = 512
-"""Number of points along the edges of all wireframes that are fitted, for the same reason.
-
-They are so near each other that an object takes all edge points between them.
-"""
 
 STEP = 1.0
 """Distance between edge points along an edge, px."""

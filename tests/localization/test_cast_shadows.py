@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from drawn_edges import SAMPLES, drawn
+from drawn_edges import drawn
 from placed_box import MODEL, POSE
+from seen_scene import SAMPLES
 
 from smartview_jax.localization import EdgeLookup, Wireframe, judge
 from smartview_jax.localization.candidates import Prepared

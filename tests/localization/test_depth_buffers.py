@@ -6,18 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from drawn_edges import (
-    SAMPLES,
-    calibration,
-    camera,
-    drawn,
-    evidence,
-    not_behind,
-    seen_views,
-    together,
-)
+from drawn_edges import calibration, camera, drawn, evidence, not_behind, seen_views, together
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
+from seen_scene import SAMPLES
 from solids import box
 
 from smartview_jax.geometry import host_exponentials

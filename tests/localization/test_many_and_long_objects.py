@@ -74,7 +74,8 @@ def test_two_bars_side_by_side_are_both_found():
 
 def test_all_of_many_objects_are_found_by_two_searches(monkeypatch):
     """More than are rejected in a row, and more than one search has proposals for."""
-    places, searches = [at(0.034 * i, 0.03 * j) for i in range(5) for j in range(3)], []
+    places, searches = [at(0.034 * i, 0.03 * j) for i in range(5) for j in range(2)], []
+    monkeypatch.setattr("smartview_jax.localization.judging.MAX_REJECTED", 6)
 
     def find_hypotheses(pictures, views, models, count, *, workspace):
         searches.append(pictures)

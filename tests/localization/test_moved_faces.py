@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from drawn_edges import SAMPLES, drawn, not_behind, together
+from drawn_edges import drawn, not_behind, together
 from placed_box import MIDDLE, MODEL, POSE
+from seen_scene import SAMPLES
 from solids import box, prism
 
 from smartview_jax.geometry import host_exponentials

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from drawn_edges import SAMPLES, calibration, drawn
+from drawn_edges import calibration, drawn
 from placed_box import (
     MODEL,
     NOISE,
@@ -14,6 +14,7 @@ from placed_box import (
 )
 from scipy.optimize import least_squares
 from scipy.spatial import KDTree
+from seen_scene import SAMPLES
 
 from smartview_jax.engine import Noise
 from smartview_jax.evaluation import mean_nees, nees

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from drawn_edges import SAMPLES, drawn, evidence
+from drawn_edges import drawn, evidence
 from placed_box import MIDDLE, MODEL, POSE, error_of
 from rig_pair import (
     BASE_FROM_WORLD,
@@ -14,6 +14,7 @@ from rig_pair import (
     true_camera,
     true_pose,
 )
+from seen_scene import SAMPLES
 
 from smartview_jax.cameras import ViewCameras
 from smartview_jax.engine import Observability

@@ -1,6 +1,6 @@
 """A scene of two solids on a table, in two rendered pictures, for the tests of the search.
 
-`python tests/localization/seen_scene.py` renders the pictures in `data` again.
+`python tests/seen_scene.py` renders the pictures in `localization/data` again.
 """
 
 import functools
@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from drawn_edges import IMAGE_SIZE
 from scipy.spatial.transform import Rotation
 
 import smartview_jax as sv
@@ -27,9 +26,20 @@ from smartview_jax.simulation import (
     stepped_block,
 )
 
+IMAGE_SIZE = (640, 480)
+"""Of all pictures in the tests of the search, so that they share compiled programs."""
+
+SAMPLES = 512
+"""Number of points along the edges of all wireframes that are fitted, for the same reason.
+
+They are so near each other that an object takes all edge points between them.
+"""
+
 CAMERA = sv.Camera(800.0, 805.0, 325.0, 236.0, OpenCV5(-0.15, 0.05, 0.0, 0.0, 0.0), IMAGE_SIZE)
 CALIBRATION = sv.Calibration.eye_in_hand(CAMERA, np.eye(4), np.eye(4))
-PICTURES = [Path(__file__).parent / "data" / f"seen_{view}.png" for view in range(2)]
+PICTURES = [
+    Path(__file__).parent / "localization" / "data" / f"seen_{view}.png" for view in range(2)
+]
 
 
 class SeenScene(NamedTuple):
