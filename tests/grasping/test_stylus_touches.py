@@ -15,6 +15,7 @@ from smartview_jax.grasping import (
     tip_error_factor,
     tool_commands,
 )
+from smartview_jax.grasping.stylus_touches import ELLIPSE_PROBABILITY, ELLIPSE_RADII
 from smartview_jax.simulation import paper_calibration
 
 TRUTH = paper_calibration()
@@ -93,3 +94,8 @@ def test_misses_that_are_larger_than_expected_are_called_so():
 def test_an_exact_calibration_expects_nothing():
     assert isinstance(TRUTH, Calibration)
     assert tip_error_factor(tool_commands(TRUTH, poses()), TIP) is None
+
+
+@pytest.mark.parametrize("size", [2, 3])
+def test_the_kept_radii_of_ellipses_are_scipys(size):
+    assert ELLIPSE_RADII[size] ** 2 == pytest.approx(chi2.ppf(ELLIPSE_PROBABILITY, size), rel=1e-12)
