@@ -1,4 +1,5 @@
 from .camera_errors import camera_covariance as camera_covariance
+from .camera_errors import read_programs_of_errors as read_programs_of_errors
 from .candidates import suggested_grasps as suggested_grasps
 from .localized import LocalizedObject as LocalizedObject
 from .localized import PlacedObject as PlacedObject
