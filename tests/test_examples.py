@@ -1,7 +1,11 @@
-"""Every public callable has an example in its docstring, which runs and prints what it says."""
+"""Every public callable has an example; it and every other one runs and prints what it says."""
 
+import ast
 import doctest
+import functools
+import importlib
 import inspect
+from pathlib import Path
 
 import pytest
 
@@ -47,6 +51,35 @@ def test_the_example_of_a_public_name_prints_what_it_says(name, names_of_package
     called = any(f"sv.{name}(" in example.source for example in test.examples)
     assert called or inspect.isclass(public), f"the example of sv.{name} does not call it"
     said = failures(test)
+    assert not said, said
+
+
+PACKAGE = Path(sv.__file__).parent
+
+
+def documented(node, parents=()):
+    """The names of everything in a file that has an example, a method's after its class's."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.ClassDef | ast.FunctionDef):
+            names = (*parents, child.name)
+            if ">>> " in (ast.get_docstring(child) or ""):
+                yield ".".join(names)
+            yield from documented(child, names)
+
+
+OTHERS = {
+    (".".join(file.relative_to(PACKAGE.parent).with_suffix("").parts), name)
+    for file in PACKAGE.rglob("*.py")
+    if ">>> " in (text := file.read_text(encoding="utf-8"))
+    for name in documented(ast.parse(text))
+} - {(getattr(sv, name).__module__, getattr(sv, name).__qualname__) for name in CALLABLES}
+"""Module and name of what has an example although it is no public name of the package itself."""
+
+
+@pytest.mark.parametrize(("module", "name"), sorted(OTHERS))
+def test_the_example_of_a_method_or_of_a_room_prints_what_it_says(module, name, names_of_package):
+    documented_object = functools.reduce(getattr, name.split("."), importlib.import_module(module))
+    said = failures(examples_of(documented_object.__doc__, name, dict(names_of_package)))
     assert not said, said
 
 

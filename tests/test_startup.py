@@ -164,7 +164,16 @@ print(sorted(store._function.__name__ for store in _stores for _ in store._progr
 """
 
 
-def test_robot_commands_load_no_fits_and_few_programs(tmp_path_factory):
+ROBOT_COMMANDS = {
+    "viewpoint": "",
+    "stylus": "--tip 0,0.01,0.15 --allow behind-target",
+    "grasp": "--grasp-pose 0,0,0.01,0,180,0 --allow behind-target",
+}
+"""The subcommands that only compute commands, with what they need to know."""
+
+
+@pytest.mark.parametrize("verb", ROBOT_COMMANDS)
+def test_robot_commands_load_no_fits_and_few_programs(tmp_path_factory, verb):
     """They take a second less: the fits and their libraries are half of the imports.
 
     One program has the commands and the poses expected of them, one the checks, and two the error
@@ -172,8 +181,12 @@ def test_robot_commands_load_no_fits_and_few_programs(tmp_path_factory):
     """
     path = main_job(tmp_path_factory).out / "calibration.yaml"
     fits = "optimistix lineax scipy cv2 matplotlib smartview_jax.staged smartview_jax.variance"
-    said = run(START + PROGRAMS, f"{fits} smartview_jax.cli.calibrate", f"viewpoint {path}").stdout
-    assert "error of the camera" in said
+    said = run(
+        START + PROGRAMS,
+        f"{fits} smartview_jax.cli.calibrate",
+        f"{verb} {path} {ROBOT_COMMANDS[verb]}",
+    ).stdout
+    assert {"viewpoint": "of the camera", "stylus": "ellipse", "grasp": "of the tool"}[verb] in said
     *_, ended, programs = said.splitlines()
     assert ended == "code 0 set()", said
     assert programs == str(

@@ -1,4 +1,4 @@
-"""Files that a person wrote with a mistake in them."""
+"""Texts that a person wrote with a mistake in them, and texts that the command printed."""
 
 
 def edit(path, old, new):
@@ -6,3 +6,8 @@ def edit(path, old, new):
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
+
+
+def unwrapped(text):
+    """What was printed, without the breaks of its lines."""
+    return " ".join(text.split())

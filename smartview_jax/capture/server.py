@@ -79,7 +79,9 @@ class CapturePage:
                 thread.join()
 
     def note(self, text: str) -> None:
-        """Add a line to the log on the page."""
+        """Add a line to the log on the page, unless the last line says so already."""
+        if self._lines and text in self._lines[-1]:
+            return
         self._lines = [*self._lines[1 - MAX_LINES :], f"{time.strftime('%H:%M:%S')} {text}"]
 
     def status(self) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import typer
 from rich import box
 
 import smartview_jax as sv
@@ -90,7 +89,7 @@ class CalibrateResult(NamedTuple):
         if len(rejected) > 12:
             print_lines(f"  and {len(rejected) - 12} more, in the report")
         for _, text in report.repeatability_rows(self.split_half):
-            typer.echo(f"even and odd views: {text}")
+            print_lines(f"even and odd views: {text}")
         if self.budget is not None:
             _print_budget(self.budget)
 

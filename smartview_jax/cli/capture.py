@@ -20,7 +20,7 @@ from .options import (
     parse_numbers,
     with_option_groups,
 )
-from .terminal import errors_reported
+from .terminal import errors_reported, print_lines
 
 
 @dataclass(frozen=True)
@@ -214,8 +214,8 @@ def _give(outcome: "sv.capture.CaptureOutcome", goal: float, folder: Path, json:
         return
 
     error = f"{1e3 * outcome.error:.2g} mm" if math.isfinite(outcome.error) else "unknown"
-    typer.echo(outcome.reason)
-    typer.echo(f"{folder}: {outcome.views} views, expected error {error} (standard deviation)")
+    print_lines(outcome.reason)
+    print_lines(f"{folder}: {outcome.views} views, expected error {error} (standard deviation)")
     typer.echo(f"next: smartview calibrate {folder}")
 
 

@@ -14,7 +14,7 @@ from . import options
 from .documents import print_document, views_left_out
 from .fit_options import CameraOption
 from .load import load_named
-from .terminal import errors_reported, progress_line
+from .terminal import errors_reported, print_lines, progress_line
 
 MIN_VIEWS = 10
 """Fewest usable views for which no more are requested."""
@@ -101,7 +101,7 @@ def check(
         if not json:
             except_for = ", apart from these doubts" if findings.are_doubtful else ""
             cameras = "cameras" if findings.cameras else "camera"
-            typer.echo(f"{cameras} and robot agree{except_for}: ready for smartview calibrate")
+            print_lines(f"{cameras} and robot agree{except_for}: ready for smartview calibrate")
 
 
 def _stops(load: Callable[[], object]) -> tuple[str, ...]:
@@ -152,13 +152,11 @@ class Findings(NamedTuple):
 
     def print(self) -> None:
         """Print what was found, problems and doubts last."""
-        for text in self.lines:
-            typer.echo(text)
+        print_lines(*self.lines)
         for camera in self.cameras:
             camera.print()
         for kind, texts in (("problem", self.problems), ("doubt", self.doubts)):
-            for text in texts:
-                typer.echo(f"{kind}: {text}")
+            print_lines(*(f"{kind}: {text}" for text in texts))
 
 
 def _checked(

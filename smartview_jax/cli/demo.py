@@ -10,7 +10,7 @@ import smartview_jax as sv
 
 from ..files import refuse_unwritable
 from .options import DebugOption
-from .terminal import errors_reported, progress_line
+from .terminal import errors_reported, print_lines, progress_line
 
 
 def demo(
@@ -41,12 +41,12 @@ def demo(
         # A seed may let objects roll on, or place something out of the arm's reach.
         except sv.simulation.CellError as error:
             raise ValueError(f"--seed {seed}: the cell failed: {error}") from error
-        typer.echo(result.pick.outcome)
+        print_lines(result.pick.outcome)
         held = f"in the hand after the lift: {'yes' if result.held else 'no'}"
         # Without a detection there is no position error.
         if math.isfinite(result.position_error):
             held += f"; position error {1e3 * result.position_error:.2f} mm"
-        typer.echo(held)
+        print_lines(held)
         typer.echo(f"{result.page}: the page")
         if not result.held:
             raise typer.Exit(1)

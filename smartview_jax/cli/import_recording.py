@@ -10,7 +10,7 @@ import typer
 import smartview_jax as sv
 
 from .options import DebugOption, parse_numbers, with_option_groups
-from .terminal import errors_reported, progress_line
+from .terminal import errors_reported, print_lines, print_steps, progress_line
 
 
 @dataclasses.dataclass(frozen=True)
@@ -292,11 +292,10 @@ def _refuse_other_recordings(path: Path) -> None:
 
 def _print_summary(written: "sv.recordings.ImportedFolder") -> None:
     """Print what was used, what was left out and why, and the next steps."""
-    for note in written.notes:
-        typer.echo(note)
+    print_lines(*written.notes)
     for reason, count in written.left_out.items():
-        typer.echo(f"left out: {count} ({reason})")
-    typer.echo(f"{written.folder}: {len(written.view_ids)} views; next steps:")
+        print_lines(f"left out: {count} ({reason})")
+    print_lines(f"{written.folder}: {len(written.view_ids)} views; next steps:")
     steps = []
     if written.target_is_template:
         steps.append(
@@ -308,5 +307,4 @@ def _print_summary(written: "sv.recordings.ImportedFolder") -> None:
     steps += [f"smartview check {written.folder}", f"smartview calibrate {written.folder}{clock}"]
     if written.camera_file is not None:
         steps[-1] += f" (or, with the camera held: --camera {written.camera_file})"
-    for number, step in enumerate(steps, start=1):
-        typer.echo(f"  {number}. {step}")
+    print_steps(steps)

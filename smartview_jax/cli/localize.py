@@ -15,7 +15,7 @@ from ..files import refuse_unwritable
 from .documents import print_document, transform_document
 from .load import RigOptions, load_calibrated_views, load_views
 from .options import DebugOption, JsonOption, parse_numbers, with_option_groups
-from .terminal import errors_reported, progress_line
+from .terminal import errors_reported, print_lines, progress_line
 
 
 @dataclass(frozen=True)
@@ -116,9 +116,9 @@ def localize(
         # The table comes before the page, which takes seconds to draw.
         if not json:
             _print(localizations)
-            typer.echo(sv.report.localization_verdict(localizations))
+            print_lines(sv.report.localization_verdict(localizations))
             if is_exact:
-                typer.echo(f"{calibration} has no covariance: taken as exact")
+                print_lines(f"{calibration} has no covariance: taken as exact")
         if out is not None:
             title = f"{', '.join(path.stem for path in models)} in {views.resolve().name}"
             sv.report.write_localization_page(out, title, loaded, localizations, pictures, names)
@@ -162,8 +162,7 @@ def _print(localizations: "sv.localization.Localizations") -> None:
         for row in rows:
             cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=True)]
             typer.echo("  ".join(cells).rstrip())
-    for text in localizations.messages:
-        typer.echo(text)
+    print_lines(*localizations.messages)
 
 
 def _document(localization: "sv.Localization", models: Sequence[Path]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import smartview_jax as sv
 
 from .load import NamedViews, RigOptions, load_calibrated_views, load_views
 from .options import DebugOption, PageOptions, with_option_groups
-from .terminal import errors_reported
+from .terminal import errors_reported, print_lines
 
 
 @with_option_groups
@@ -45,8 +45,7 @@ def model(
         with sv.ModelSession(
             estimate, views.command, views.pictures, views.names, target, covariance=covariance
         ) as session:
-            for note in session.notes:
-                typer.echo(note)
+            print_lines(*session.notes)
             announce = page.announcement(f"the editor of {target}", "all clicks are saved")
             sv.editor.serve(session, page.port, announce)
 

@@ -8,7 +8,7 @@ import typer
 import smartview_jax as sv
 
 from .options import DebugOption
-from .terminal import errors_reported
+from .terminal import errors_reported, print_lines, print_steps
 
 DEFAULT_SIZE = (1280, 1024)
 """Width and height in a new description, px; to be replaced by the real ones."""
@@ -91,8 +91,7 @@ def new(
             f"smartview check {folder}",
             f"smartview calibrate {folder}",
         ]
-        for number, step in enumerate(steps, start=1):
-            typer.echo(f"  {number}. {step}")
+        print_steps(steps)
 
 
 def _step_of_poses(folder: Path, several: bool, arm_of: dict[str, str] | None) -> str:
@@ -106,11 +105,11 @@ def _step_of_poses(folder: Path, several: bool, arm_of: dict[str, str] | None) -
 def _print_pictures(folder: Path, content: "sv.io.FoundPictures") -> None:
     """Print what kind of pictures a folder has already."""
     width, height = content.image_size
-    typer.echo(
+    print_lines(
         f"{folder}: {content.picture_count} pictures named *{content.suffix}, {width} x {height} px"
     )
     if content.others:
-        typer.echo(f"{folder}: other files: {', '.join(content.others[:5])}")
+        print_lines(f"{folder}: other files: {', '.join(content.others[:5])}")
 
 
 def _camera_names(text: str) -> list[str]:

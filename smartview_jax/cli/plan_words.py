@@ -3,11 +3,10 @@
 import math
 from typing import Any
 
-import typer
-
 import smartview_jax as sv
 
 from .documents import print_document
+from .terminal import print_lines
 
 _NUMBERS = "no one two three four five six seven eight nine ten eleven twelve".split()
 
@@ -60,7 +59,7 @@ def give_no_commands(entries: dict[str, Any], json: bool) -> None:
     if json:
         print_document("plan", {"commands": [], **entries, "file": None})
     else:
-        typer.echo("\n".join(entries["words"]))
+        print_lines(*entries["words"])
 
 
 def _quantity(plan: "sv.viewpoints.ViewPlan") -> str:

@@ -5,6 +5,7 @@ import os
 import re
 import select
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, Literal, TextIO
@@ -26,10 +27,29 @@ def verbose() -> bool:
 
 
 def print_lines(*texts: str) -> None:
-    """Print texts as they are, one after the other, wrapped at the terminal's width."""
+    """Print texts as they are, one after the other, wrapped at the terminal's width.
+
+    In files and pipes the width is 80. Continued lines are indented, so that each text is seen to
+    begin; a word that is longer than a line, such as a path, stays whole.
+    """
     console = Console()
-    for text in texts:
-        console.print(text, highlight=False, markup=False)
+    for line in "\n".join(texts).splitlines() if texts else ():
+        indent = " " * (len(line) - len(line.lstrip()) + 2)
+        wrapped = textwrap.fill(
+            line,
+            console.width,
+            subsequent_indent=indent,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        console.print(wrapped, highlight=False, markup=False, soft_wrap=True)
+
+
+def print_steps(steps: Iterable[str]) -> None:
+    """Print numbered steps; commands are not wrapped, so that they can be copied."""
+    for number, step in enumerate(steps, start=1):
+        is_command = step.startswith("smartview ")
+        (typer.echo if is_command else print_lines)(f"  {number}. {step}")
 
 
 def remark_lines(notes: Iterable[str], warnings: Iterable[str]) -> tuple[str, ...]:

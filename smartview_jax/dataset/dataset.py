@@ -306,7 +306,7 @@ class Dataset(HostModule):
             >>> rng = np.random.default_rng(0)
             >>> depths = points[:, 2] + 1e-3 * rng.normal(size=data.visible.shape)
             >>> print(f"{1e3 * data.with_depths(depths).depth_noise.constant:.1f} mm")
-            1.0 mm
+            0.9 mm
         """
         if depths is None:
             return dataclasses.replace(self, depths=None, depth_noise=None)

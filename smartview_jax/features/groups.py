@@ -14,7 +14,7 @@ def grouped_indices(
 
     For example:
 
-        >>> grouped_indices(np.array([2, 0, 3]))
+        >>> sv.features.grouped_indices(np.array([2, 0, 3]))
         (array([0, 0, 2, 2, 2]), array([0, 1, 0, 1, 2]))
     """
     group = np.repeat(np.arange(len(counts)), counts)

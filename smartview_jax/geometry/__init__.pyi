@@ -18,6 +18,7 @@ from .host import host_pairwise_rotation_angles as host_pairwise_rotation_angles
 from .host import host_poses as host_poses
 from .host import host_rotation_angles as host_rotation_angles
 from .host import host_rotation_vectors as host_rotation_vectors
+from .host import host_rotations_between as host_rotations_between
 from .host import host_transformed as host_transformed
 from .host import host_transforms as host_transforms
 from .left_jacobians import quaternion_exponentials as quaternion_exponentials

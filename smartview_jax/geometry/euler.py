@@ -73,15 +73,25 @@ class EulerConvention(NamedTuple):
     axes: str
     moving: bool
 
+    def to_matrices(self, angles: Float[np.ndarray, "rows 3"]) -> Float[np.ndarray, "rows 3 3"]:
+        """Return the rotation matrices of angles in rad."""
+        first, second, third = (
+            axis_rotations(axis, angles[:, k]) for k, axis in enumerate(self.axes)
+        )
+        return first @ second @ third if self.moving else third @ second @ first
+
     def to_rotation(self, angles: Float[np.ndarray, "rows 3"]) -> "Rotation":
-        """Return the rotations of angles in rad."""
+        """Return the rotations of angles in rad, as SciPy's."""
         from scipy.spatial.transform import Rotation
 
-        # SciPy writes moving axes in capitals.
-        return Rotation.from_euler(self.axes if self.moving else self.axes.lower(), angles)
+        return Rotation.from_matrix(self.to_matrices(angles))
 
     def from_rotation(self, rotation: "Rotation") -> Float[np.ndarray, "rows 3"]:
-        """Return the angles of rotations, rad.
+        """Return the angles of SciPy's rotations, rad, as `from_matrices` does."""
+        return self.from_matrices(rotation.as_matrix())
+
+    def from_matrices(self, matrices: Float[np.ndarray, "rows 3 3"]) -> Float[np.ndarray, "rows 3"]:
+        """Return the angles of rotation matrices, rad.
 
         The second angle is within +-90 degrees, or in [0, 180] degrees if the outer axes are the
         same. Where it is at an end of this range, only a sum or difference of the outer angles is
@@ -89,10 +99,26 @@ class EulerConvention(NamedTuple):
         the third otherwise. For fixed axes, whose angles are the moving ones in reverse order, it
         is the other of the two.
         """
-        matrices = rotation.as_matrix()
         if self.moving:
             return _moving_angles(matrices, self.axes)
         return _moving_angles(matrices, self.axes[::-1])[:, ::-1]
+
+
+def axis_rotations(axis: str, angles: Float[np.ndarray, "rows"]) -> Float[np.ndarray, "rows 3 3"]:
+    """Return the matrices of rotations about one coordinate axis, `"X"`, `"Y"` or `"Z"`.
+
+    Args:
+        axis: name of the axis.
+        angles: of the rotations, rad.
+    """
+    i = "XYZ".index(axis)
+    j, k = (i + 1) % 3, (i + 2) % 3
+    matrices = np.zeros((len(angles), 3, 3))
+    matrices[:, i, i] = 1.0
+    matrices[:, j, j] = matrices[:, k, k] = np.cos(angles)
+    matrices[:, k, j] = np.sin(angles)
+    matrices[:, j, k] = -matrices[:, k, j]
+    return matrices
 
 
 EULER_CONVENTIONS = {

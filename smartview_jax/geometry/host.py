@@ -251,6 +251,24 @@ _CROSS_ENTRIES = [7, 2, 3], [5, 6, 1]
 """Where a cross matrix has x, y and z, and where -x, -y and -z: indices of entries, row by row."""
 
 
+def host_rotations_between(
+    start: Float[np.ndarray, "n 3"], end: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3 3"]:
+    """Return the smallest rotations that take unit vectors to others; of opposite ones, any."""
+    # R = I + K + K^2 / (1 + cos), with K the cross-product matrix of start x end.
+    K = host_cross_matrices(np.cross(start, end))
+    cosine = np.sum(start * end, axis=1)[:, None, None]
+    rotations = np.eye(3) + K + K @ K / np.maximum(1.0 + cosine, 1e-12)
+    opposite = cosine[:, 0, 0] < 1e-12 - 1.0
+    if opposite.any():
+        # Half a turn about an axis p that is perpendicular to both: 2 p p^T - I.
+        nearest = np.eye(3)[np.argmin(np.abs(start[opposite]), axis=1)]
+        p = np.cross(start[opposite], nearest)
+        p /= np.linalg.norm(p, axis=1, keepdims=True)
+        rotations[opposite] = 2.0 * p[:, :, None] * p[:, None, :] - np.eye(3)
+    return rotations
+
+
 def host_adjoints(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6 6"]:
     """Return the adjoints of rigid 4x4 matrices as `SE3.adjoint` does, translation first.
 

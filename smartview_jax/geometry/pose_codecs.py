@@ -37,7 +37,6 @@ manual, "Motion characteristics": R = Rz(yaw) Ry(pitch) Rx(roll).
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxlie import SE3, SO3
@@ -46,13 +45,10 @@ from jaxtyping import Array, Float
 from ..argument_checks import require_one_of
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import one_program
-from .euler import EULER_CONVENTIONS
-from .host import host_matrices, host_transforms
+from .euler import EULER_CONVENTIONS, axis_rotations
+from .host import host_exponentials, host_matrices, host_poses, host_transforms
 from .oat import oat_from_rotation
 from .rigid_transforms import check_rigid
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
 
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 """Size of each known unit of length, m."""
@@ -213,7 +209,7 @@ def _quaternion_codec(
         name,
         columns,
         angle_columns=(),
-        to_rotation=lambda numbers: _from_quaternions(numbers[:, wxyz]),
+        to_numbers=lambda rows: np.hstack([_unit(rows[:, 3:][:, wxyz]), rows[:, :3]]),
         from_rotation=lambda rotation: np.asarray(rotation.wxyz)[..., list(inverse_permutation)],
         check=check,
         units=units,
@@ -223,13 +219,19 @@ def _quaternion_codec(
 def _angle_codec(
     name: str,
     columns: tuple[str, str, str],
-    to_rotation: "Callable[[np.ndarray], Rotation]",
+    to_matrices: Callable[[np.ndarray], np.ndarray],
     from_rotation: Callable[[SO3], np.ndarray | Array],
     units: tuple[str, str] = _SI,
 ) -> PoseCodec:
     """Return a codec of x, y, z and three numbers in units of angle."""
+
+    def to_numbers(rows: np.ndarray) -> np.ndarray:
+        """Return the numbers of `SE3`."""
+        poses = host_transforms(host_poses(to_matrices(rows[:, 3:]), rows[:, :3]))
+        return np.asarray(poses.wxyz_xyz)
+
     return _position_rotation_codec(
-        name, columns, (3, 4, 5), to_rotation, from_rotation, lambda rows, names: [], units
+        name, columns, (3, 4, 5), to_numbers, from_rotation, lambda rows, names: [], units
     )
 
 
@@ -237,7 +239,7 @@ def _position_rotation_codec(
     name: str,
     columns: tuple[str, ...],
     angle_columns: tuple[int, ...],
-    to_rotation: "Callable[[np.ndarray], Rotation]",
+    to_numbers: Callable[[np.ndarray], np.ndarray],
     from_rotation: Callable[[SO3], np.ndarray | Array],
     check: Callable[[np.ndarray, tuple[str, ...]], list[str]],
     units: tuple[str, str],
@@ -251,10 +253,7 @@ def _position_rotation_codec(
         columns=("x", "y", "z", *columns),
         length_columns=(0, 1, 2),
         angle_columns=angle_columns,
-        to_numbers=lambda rows: np.hstack(
-            # SciPy's quaternions have the real part last, jaxlie's first.
-            [to_rotation(rows[:, 3:]).as_quat()[:, [3, 0, 1, 2]], rows[:, :3]]
-        ),
+        to_numbers=to_numbers,
         from_se3=lambda poses: _position_and_rotation(poses, from_rotation),
         check=check,
         units=units,
@@ -282,34 +281,29 @@ def _euler_codec(
     def angles(rotation: SO3) -> Float[np.ndarray, "*batch 3"]:
         """Return the angles of JAX's rotations on the host."""
         numbers = np.asarray(rotation.wxyz)
-        rows = _from_quaternions(numbers.reshape(-1, 4))
-        return euler.from_rotation(rows).reshape(*numbers.shape[:-1], 3)
+        rows = np.pad(numbers.reshape(-1, 4), ((0, 0), (0, 3)))
+        # NumPy's numbers in a transform compile no program.
+        matrices = host_matrices(SE3(rows))[:, :3, :3]  # pyright: ignore[reportArgumentType]
+        return euler.from_matrices(matrices).reshape(*numbers.shape[:-1], 3)
 
-    return _angle_codec(name, columns, euler.to_rotation, angles, units)
-
-
-def _from_quaternions(wxyz: np.ndarray) -> "Rotation":
-    """Return the rotations of quaternions with the real part first."""
-    from scipy.spatial.transform import Rotation
-
-    # SciPy's quaternions have the real part last.
-    return Rotation.from_quat(wxyz[:, [1, 2, 3, 0]])
+    return _angle_codec(name, columns, euler.to_matrices, angles, units)
 
 
-def _from_vectors(vectors: np.ndarray) -> "Rotation":
-    """Return the rotations of rotation vectors, rad."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_rotvec(vectors)
+def _unit(quaternions: np.ndarray) -> np.ndarray:
+    """Return quaternions scaled to length 1."""
+    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
 
 
-def _from_oat(oat: np.ndarray) -> "Rotation":
-    """Return the rotations of VAL's angles O, A, T in rad (Eq. 18)."""
-    from scipy.spatial.transform import Rotation
+def _from_vectors(vectors: np.ndarray) -> np.ndarray:
+    """Return the matrices of rotation vectors, rad."""
+    return host_exponentials(np.pad(vectors, ((0, 0), (3, 0))))[:, :3, :3]
 
+
+def _from_oat(oat: np.ndarray) -> np.ndarray:
+    """Return the matrices of VAL's angles O, A, T in rad (Eq. 18)."""
     # R = Rz(O) Rx(A) M0 Rz(T)
-    M0 = Rotation.from_matrix([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
-    return Rotation.from_euler("ZX", oat[:, :2]) * M0 * Rotation.from_euler("Z", oat[:, 2:])
+    O, A, T = (axis_rotations(axis, oat[:, k]) for k, axis in enumerate("ZXZ"))
+    return O @ A @ np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]]) @ T
 
 
 _rotation_vector = one_program(SO3.log)

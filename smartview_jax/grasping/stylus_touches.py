@@ -9,14 +9,19 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial.transform import Rotation
-from scipy.special import chdtrc, chdtri
 
-from ..geometry import host_cross_matrices
+from ..geometry import host_cross_matrices, host_rotations_between
 from .tool_commands import ToolCommands
 
 ELLIPSE_PROBABILITY = 0.95
 """Probability with which a miss is inside its error ellipse."""
+
+ELLIPSE_RADII = {2: 2.4477468306808161, 3: 2.7954834829151074}
+"""Radius of the ellipse in standard deviations, by the number of components of a miss.
+
+Its square is exceeded by chi-square with the probability 0.05. SciPy, which knows it for any
+probability, takes longer to import than everything else here.
+"""
 
 MIN_TIP_DISTANCE = 1e-6
 """Distance of the tip from the tool's origin, m, below which the stylus is the tool's z axis."""
@@ -51,8 +56,9 @@ def stylus_orientations(
     """
     axis = np.array([0.0, 0.0, 1.0]) if np.linalg.norm(tip) < MIN_TIP_DISTANCE else tip
     # The smallest rotation that takes z to the stylus's direction in the tool.
-    tool_from_stylus = Rotation.align_vectors(axis[None], np.array([[0.0, 0.0, 1.0]]))[0]
-    return world_from_stylus @ tool_from_stylus.as_matrix().T
+    z = np.array([[0.0, 0.0, 1.0]])
+    tool_from_stylus = host_rotations_between(z, axis[None] / np.linalg.norm(axis))
+    return world_from_stylus @ tool_from_stylus.swapaxes(1, 2)
 
 
 def tip_error_factor(
@@ -109,8 +115,7 @@ def ellipse_axes(
 ) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d d"]]:
     """Return half axes, longest first, and their directions as columns, of an error ellipse."""
     eigenvalues, vectors = np.linalg.eigh(covariance)
-    radius = np.sqrt(chdtri(len(covariance), 1.0 - ELLIPSE_PROBABILITY))
-    return radius * np.sqrt(eigenvalues[::-1].clip(0.0)), vectors[:, ::-1]
+    return ELLIPSE_RADII[len(covariance)] * np.sqrt(eigenvalues[::-1].clip(0.0)), vectors[:, ::-1]
 
 
 def compare_misses(
@@ -127,6 +132,9 @@ def compare_misses(
         ValueError: numbers of touches that differ, or misses that have neither two nor three
             components.
     """
+    # Only where somebody measured: the commands alone are printed in less time.
+    from scipy.special import chdtrc
+
     count, size = misses.shape
     if count != len(error_factor) or size not in (2, 3):
         raise ValueError(
@@ -142,7 +150,7 @@ def compare_misses(
     chi_square = _chi_square(stacked @ stacked.T, misses.ravel())
     return MissComparison(
         float(np.sqrt(np.trace(covariances, axis1=1, axis2=2).mean())),
-        single <= chdtri(size, 1.0 - ELLIPSE_PROBABILITY),
+        single <= ELLIPSE_RADII[size] ** 2,
         chi_square,
         count * size,
         float(chdtrc(count * size, chi_square)),

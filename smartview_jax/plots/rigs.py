@@ -45,7 +45,7 @@ def camera_mounts(fit: RigFit) -> PlotFigure:
         axes = space_axes(figure, unit, place=(1, len(mounts), 1 + column))
         depth = PYRAMID_SHARE * max(float(np.ptp(places, axis=0).max()), 1e-2)
         draw_frame(axes, np.eye(4), factor * depth, factor)
-        axes.text(0.0, 0.0, 0.0, f"  {mount}", fontsize=9)
+        axes.text(0.0, 0.0, 0.0, f"{mount}  ", fontsize=9, ha="right", va="top")
         for name, calibration in cameras.items():
             colour = method_colour(name, names.index(name))
             mount_from_camera = poses[name]
@@ -55,9 +55,10 @@ def camera_mounts(fit: RigFit) -> PlotFigure:
             centre = factor * mount_from_camera[:3, 3]
             path = f"{name}.{calibration.transform_names[0]}.translation"
             stds = [fit.std[f"{path}.{k}"] for k in "xyz" if f"{path}.{k}" in fit.std]
-            label = f"{name}, +- {1e3 * np.hypot.reduce(stds):.2g} mm" if stds else f"{name}, held"
-            draw_pyramid(axes, centre, corners, colour, 1.2, label)
-        axes.legend(loc="upper left", frameon=False, fontsize=9)
+            std = f"std {1e3 * np.hypot.reduce(stds):.2g} mm" if stds else "held"
+            draw_pyramid(axes, centre, corners, colour, 1.2, f"{name}, {std}")
+        # Before the lines of the axes, which cross it where there is little room.
+        axes.legend(loc="upper left", facecolor="white", edgecolor="none", fontsize=9)
         axes.set_aspect("equal")
         axes.set_title(f"in the frame of the {mount}", fontsize=10)
         axes.tick_params(labelsize=7)

@@ -352,9 +352,11 @@ def _facts(fit: RigFit, rig: Rig, origin: Origin | None) -> list[tuple[str, str]
     """Return rows of name and text on the data, the command and the fit."""
     facts = origin_facts(origin)
     facts.append(("robot states", f"{len(fit.view_ids)}"))
-    for target in dict.fromkeys(rig.targets.values()):
+    targets = dict.fromkeys(rig.targets.values())
+    for target in targets:
         seeing = ", ".join(name for name in rig.cameras if rig.targets[name] == target)
-        facts.append((f"target {target}", f"seen by {seeing}"))
+        name = f"target {target}" if len(targets) > 1 else "target"
+        facts.append((name, f"seen by {seeing}"))
     for arm in fit.bases:
         moved = ", ".join(name for name, moving in fit.arms.items() if arm in arms_of(moving))
         facts.append((f"arm {arm}", f"of the cameras {moved}"))

@@ -13,7 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..geometry import host_cross_matrices, host_exponentials, host_transformed
+from ..geometry import (
+    host_exponentials,
+    host_rotations_between,
+    host_transformed,
+)
 
 MAX_STEPS = 30
 """The largest number of steps from a mirrored pose."""
@@ -54,21 +58,9 @@ def mirrored_poses(
     s = m / np.linalg.norm(m, axis=1, keepdims=True)
     mirrored = 2.0 * np.sum(s * n, axis=1, keepdims=True) * s - n
     result = poses.copy()
-    result[:, :3, :3] = rotation_between(n, mirrored) @ R
+    result[:, :3, :3] = host_rotations_between(n, mirrored) @ R
     result[:, :3, 3] = m - _turned(result[:, :3, :3], middle)
     return result
-
-
-def rotation_between(
-    start: Float[np.ndarray, "views 3"], end: Float[np.ndarray, "views 3"]
-) -> Float[np.ndarray, "views 3 3"]:
-    """Return the smallest rotation that takes one unit vector to another.
-
-    `R = I + K + K^2 / (1 + cos)`, with K the cross-product matrix of `start x end`.
-    """
-    K = host_cross_matrices(np.cross(start, end))
-    cosine = np.sum(start * end, axis=1)[:, None, None]
-    return np.eye(3) + K + K @ K / np.maximum(1.0 + cosine, 1e-9)
 
 
 def refined_poses(

@@ -16,9 +16,8 @@ from jaxtyping import Bool, Float
 
 from ..cameras import Camera, Radial
 from ..dataset import mean_point, scatter
-from ..geometry import host_nearest_rotation, host_poses, host_transforms
+from ..geometry import host_nearest_rotation, host_poses, host_rotations_between, host_transforms
 from ..runtime.array_namespace import AnyArray
-from .planar_poses import rotation_between
 
 HostArray = np.ndarray
 """A NumPy array with one entry for each view along its first axis."""
@@ -116,7 +115,7 @@ def planar_start(
         # A small plane looks almost the same when its normal is mirrored about the line of sight.
         normal = rotation[..., 2]
         cosine = np.sum(line_of_sight * normal, axis=1, keepdims=True)
-        mirror_rotation = rotation_between(normal, 2.0 * cosine * line_of_sight - normal)
+        mirror_rotation = host_rotations_between(normal, 2.0 * cosine * line_of_sight - normal)
         poses = [
             _pose_parameters(R @ plane, t, origin) for R in (rotation, mirror_rotation @ rotation)
         ]

@@ -150,6 +150,10 @@ def test_the_page_in_a_browser(tmp_path, rig):
                 )
             window.wait_for_function("document.querySelector('#error').textContent === '1.8 mm'")
             assert window.evaluate("document.documentElement.scrollWidth") == 390
+            log = window.inner_text("#lines")
+            assert all(log.count(f"view v{1 + at} taken") <= 1 for at in range(5))
+            window.set_viewport_size({"width": 1400, "height": 900})
+            assert window.locator("#goal").bounding_box()["height"] < 24
             window.click("#move")
             window.wait_for_function("/moved/.test(document.querySelector('#said').textContent)")
             window.keyboard.press("Escape")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import typer
 from board_scene import board_folder, run
+from text_files import unwrapped
 
 from smartview_jax import fit_staged
 from smartview_jax.cli import app
@@ -169,7 +170,7 @@ def test_words_and_exit_code(folder, short_work, tmp_path, monkeypatch, case):
     assert ended.exit_code == case.code, ended.output
     # Only what a user has to correct is said on stderr; an answer of "no" is an answer.
     said = ended.stderr if case.code == 2 else ended.stdout
-    assert case.said in said.replace("\n", " ")
+    assert case.said in unwrapped(said)
     assert "Traceback" not in ended.output
     assert (Path("mine").exists()) == (case.verb in ("new", "import") and case.code == 0)
 

@@ -5,6 +5,7 @@ import shutil
 import cv2
 import numpy as np
 import pytest
+from text_files import unwrapped
 from typer.testing import CliRunner
 
 from smartview_jax.cli import app
@@ -77,8 +78,8 @@ def test_pictures_that_are_there_already_are_described(tmp_path, suffix):
     (images / "Thumbs.db").write_bytes(b"no picture")
     run = CliRunner().invoke(app, ["new", str(tmp_path / "mine")])
     assert run.exit_code == 0
-    assert f"2 pictures named *{suffix}, 64 x 48 px" in run.output.replace("\n", " ")
-    assert "other files: screen.bmp" in run.output.replace("\n", " ")
+    assert f"2 pictures named *{suffix}, 64 x 48 px" in unwrapped(run.output)
+    assert "other files: screen.bmp" in unwrapped(run.output)
     content = read_yaml(tmp_path / "mine" / "dataset.yaml")
     assert content["camera"]["image_size"] == [64, 48]
     assert content["pictures"]["pattern"] == "images/{view}" + suffix

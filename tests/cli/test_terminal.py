@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress
 
-from smartview_jax.cli.terminal import BarUpdate, StageLines
+from smartview_jax.cli.terminal import BarUpdate, StageLines, print_lines, print_steps
 
 
 @pytest.fixture
@@ -68,6 +68,24 @@ def test_without_a_terminal_every_stage_is_one_line():
         "left done: 1 of 2",
         "right done: 2 of 2",
     ]
+
+
+def test_prose_is_wrapped_also_in_pipes_and_commands_are_not(capsys):
+    prose = "doubt: " + "the camera moves as far as the robot says, " * 4
+    path = "/a" * 60
+    print_lines(prose, f"  view 3 is left out: {path}: " + "a damaged picture, " * 5)
+    lines = capsys.readouterr().out.splitlines()
+    assert " ".join(line.strip() for line in lines).startswith(prose.strip())
+    assert [line[:2] for line in lines if line.startswith(("doubt", "  view"))] == ["do", "  "]
+    assert all(len(line) <= 80 for line in lines if path not in line)
+    # Continued lines are indented further than the line that they continue.
+    view = next(k for k, line in enumerate(lines) if line.startswith("  view"))
+    assert all(line.startswith("  ") for line in lines[1:view])
+    assert all(line.startswith("    ") for line in lines[view + 1 :])
+    print_steps([f"smartview check {path}", "write " * 20])
+    command, *steps = capsys.readouterr().out.splitlines()
+    assert command == f"  1. smartview check {path}"
+    assert len(steps) == 2
 
 
 PRINTS_FOR_EVER = """

@@ -14,6 +14,7 @@ from smartview_jax.geometry import (
     host_poses,
     host_rotation_angles,
     host_rotation_vectors,
+    host_rotations_between,
     host_transformed,
     host_transforms,
     nearest_rotation,
@@ -134,3 +135,18 @@ def test_poses_are_put_together_from_rotations_and_translations():
     np.testing.assert_array_equal(many[1, 2, :3, :3], rotations[1, 2])
     for matrices in (expected, rotations):
         np.testing.assert_allclose(host_rotation_vectors(matrices), tangents[..., 3:], atol=1e-14)
+
+
+def test_the_smallest_rotation_between_directions_is_scipys_also_of_opposite_ones():
+    ends = RNG.normal(size=(5, 3))
+    ends /= np.linalg.norm(ends, axis=1, keepdims=True)
+    ends = np.concatenate([ends, [[0.0, 0.0, 1.0], [1e-7, 0.0, -1.0]]])
+    starts = np.tile([0.0, 0.0, 1.0], (len(ends), 1))
+    for end, rotation in zip(ends, host_rotations_between(starts, ends), strict=True):
+        expected = Rotation.align_vectors(end[None], starts[:1])[0].as_matrix()
+        np.testing.assert_allclose(rotation, expected, atol=1e-7)
+    for start in np.concatenate([ends[:3], np.eye(3)]):
+        (turned,) = host_rotations_between(start[None], -start[None])
+        np.testing.assert_allclose(turned @ start, -start, atol=1e-12)
+        np.testing.assert_allclose(turned @ turned.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(turned) == pytest.approx(1.0)

@@ -16,6 +16,7 @@ from smartview_jax.grasping import (
     tip_error_factor,
     tool_commands,
 )
+from smartview_jax.grasping.stylus_touches import ELLIPSE_PROBABILITY, ELLIPSE_RADII
 from smartview_jax.simulation import paper_calibration
 
 TRUTH = paper_calibration()
@@ -110,3 +111,8 @@ def test_an_exact_calibration_expects_nothing():
     exact = tool_commands(TRUTH, poses())
     assert tip_error_factor(exact, TIP) is None
     assert measured_error_factor(exact, TIP, 1e-4) is None
+
+
+@pytest.mark.parametrize("size", [2, 3])
+def test_the_kept_radii_of_ellipses_are_scipys(size):
+    assert ELLIPSE_RADII[size] ** 2 == pytest.approx(chi2.ppf(ELLIPSE_PROBABILITY, size), rel=1e-12)

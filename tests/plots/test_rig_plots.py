@@ -74,5 +74,5 @@ def test_pyramids_stand_where_the_cameras_are(tmp_path_factory):
     path = "camera1.camera_from_tool.translation"
     std = 1e3 * np.hypot.reduce([fit.std[f"{path}.{axis}"] for axis in "xyz"])
     legend = [text.get_text() for text in tool.get_legend().get_texts()]
-    assert legend == [f"camera1, +- {std:.2g} mm"]
+    assert legend == [f"camera1, std {std:.2g} mm"]
     assert [text.get_text() for text in base.get_legend().get_texts()] == ["camera2, held"]

@@ -19,6 +19,7 @@ from bag_recordings import (
 )
 from board_scene import run
 from detected_sample import detected_sample
+from text_files import unwrapped
 from tracked_scene import MOUNT, tracked
 from written_bags import (
     FORMATS,
@@ -285,7 +286,7 @@ def test_the_command_says_what_was_left_out_and_what_to_do_next(tmp_path):
         "1. measure the target",
         f"3. smartview calibrate {tmp_path / 'data'} (or, with the camera held: --camera",
     ):
-        assert part in said
+        assert part in unwrapped(said)
     again = run("import", bag, tmp_path / "data", *words)
     assert (again.exit_code, "exists already" in again.stderr) == (2, True)
 

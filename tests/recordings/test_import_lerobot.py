@@ -8,6 +8,7 @@ import pytest
 import yaml
 from bag_recordings import duration, moving_pose, stop_poses
 from scipy.spatial.transform import Rotation
+from text_files import unwrapped
 from typer.testing import CliRunner
 
 import smartview_jax as sv
@@ -199,7 +200,7 @@ def test_joint_readings_have_the_stated_unit(tmp_path):
     asked += ["--state-names", ",".join(names[:7])]
     told = CliRunner().invoke(app, ["import", str(folder), str(tmp_path / "data"), *asked])
     assert told.exit_code == 0, told.output
-    assert "5 views" in told.output
+    assert "5 views" in unwrapped(told.output)
     pose, _, episode, time = views_of(tmp_path / "data")[0]
     readings = np.deg2rad(joints_of(moving_pose(EPISODES[episode], time))[:7])
     np.testing.assert_allclose(pose, host_matrices(arm.base_from_tool(readings)), atol=1e-6)
