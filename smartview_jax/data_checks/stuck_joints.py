@@ -29,7 +29,7 @@ def stuck_joints(
     views = np.flatnonzero(used)
     if len(views) < MIN_STUCK_VIEWS:
         return ""
-    is_same = np.diff(readings[views], axis=0) == 0.0
+    is_same = np.asarray(np.diff(readings[views], axis=0) == 0.0)
     # Between two pictures from one pose no joint moved.
     moves = np.flatnonzero(~is_same.all(axis=1))
     texts = []

@@ -85,11 +85,11 @@ def _widths(gradient: Gradient, points: EdgePoints, reach: float) -> Float[np.nd
     for sign in (-1.0, 1.0):
         places = points.pixels[:, None] + sign * offsets[:, None] * points.normals[:, None]
         u, v = (places[..., k].astype(np.float32) for k in range(2))
-        across = sum(
+        by_u, by_v = (
             cv2.remap(by, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-            * points.normals[:, k, None]
-            for k, by in enumerate((gradient.by_u, gradient.by_v))
+            for by in (gradient.by_u, gradient.by_v)
         )
+        across = by_u * points.normals[:, 0, None] + by_v * points.normals[:, 1, None]
         relative = np.column_stack([np.ones(len(across)), across / points.strengths[:, None]])
         # Between the last place above half and the first one below it the gradient is a line.
         below = relative < 0.5

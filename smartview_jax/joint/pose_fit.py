@@ -306,10 +306,10 @@ def fit_poses(
     fit = PoseFit.of(fit, data, camera is not None, drift)
     if camera is None:
         return fit
-    calibration, start = (
+    calibration, begun_at = (
         dataclasses.replace(each, camera=camera) for each in (fit.calibration, fit.start)
     )
-    return dataclasses.replace(fit, calibration=calibration, start=start)
+    return dataclasses.replace(fit, calibration=calibration, start=begun_at)
 
 
 def tracked_pose_errors(

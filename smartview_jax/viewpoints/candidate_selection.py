@@ -221,7 +221,7 @@ class ViewRequirements:
         Raises:
             ValueError: `allowed` does not return a flag for each view.
         """
-        finite = np.isfinite(np.asarray(poses.wxyz_xyz)).all(axis=1)
+        finite = np.asarray(np.isfinite(np.asarray(poses.wxyz_xyz)).all(axis=1))
         if self.allowed is None:
             return finite
         allowed = np.asarray(self.allowed(poses))
