@@ -29,7 +29,7 @@ def stuck_joints(
     views = np.flatnonzero(used)
     if len(views) < MIN_STUCK_VIEWS:
         return ""
-    is_same = np.asarray(np.diff(readings[views], axis=0) == 0.0)
+    is_same = np.diff(readings[views], axis=0) == 0.0
     # Between two pictures from one pose no joint moved.
     moves = np.flatnonzero(~is_same.all(axis=1))
     texts = []
@@ -37,8 +37,10 @@ def stuck_joints(
         first, count = _longest_run(is_same[moves, joint])
         if count + 1 < MIN_STUCK_VIEWS:
             continue
-        begin, end = views[moves[first]], views[moves[first + count - 1] + 1]
-        texts.append(f"joint {joint + 1} from view {view_ids[begin]} to {view_ids[end]}")
+        begin, end = (
+            view_ids[int(views[k])] for k in (moves[first], moves[first + count - 1] + 1)
+        )
+        texts.append(f"joint {joint + 1} from view {begin} to {end}")
     if not texts:
         return ""
     return (
