@@ -37,9 +37,7 @@ def stuck_joints(
         first, count = _longest_run(is_same[moves, joint])
         if count + 1 < MIN_STUCK_VIEWS:
             continue
-        begin, end = (
-            view_ids[int(views[k])] for k in (moves[first], moves[first + count - 1] + 1)
-        )
+        begin, end = (view_ids[int(views[k])] for k in (moves[first], moves[first + count - 1] + 1))
         texts.append(f"joint {joint + 1} from view {begin} to {end}")
     if not texts:
         return ""
