@@ -30,7 +30,6 @@ from .structured_lm import (
     quadratic_model,
     rescale,
     undamped_decrease,
-    unevaluated_residuals,
 )
 
 _Problem = TypeVar("_Problem", bound=AbstractProblem)
@@ -241,13 +240,11 @@ def minimise(
         The step, the number of solver steps, the recorded costs, the normal equations at the
         result, and the decrease of the cost that one more Gauss-Newton step predicts.
     """
-    is_structured = isinstance(solver, StructuredLM)
-    residuals = unevaluated_residuals if is_structured else ordered_residuals
     solution = optx.least_squares(
-        residuals, solver, start, args=problem, max_steps=maximum_steps, throw=False
+        ordered_residuals, solver, start, args=problem, max_steps=maximum_steps, throw=False
     )
     z = jax.tree.map(jnp.multiply, solution.value, problem.scale)
-    if is_structured:
+    if isinstance(solver, StructuredLM):
         model, scale = solution.state.f_info, solution.state.scale
     else:
         model, scale = quadratic_model(problem, solution.value), jax.tree.map(jnp.ones_like, z)

@@ -13,7 +13,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, Scalar
 
@@ -87,10 +86,12 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
         Raises:
             ValueError: the function to minimise is not the residuals of an `AbstractProblem`.
         """
-        known = isinstance(args, AbstractProblem) and (
-            f_struct == _UNEVALUATED or f_struct == jax.eval_shape(ordered_residuals, y, args)
+        expected = (
+            jax.eval_shape(ordered_residuals, y, args)
+            if isinstance(args, AbstractProblem)
+            else None
         )
-        if not known:
+        if f_struct != expected:
             raise ValueError(
                 "StructuredLM minimises only the residuals of a JointProblem, given as args; for "
                 "other functions use optimistix.LevenbergMarquardt"
@@ -241,35 +242,6 @@ def is_converged(predicted_decrease: Any, cost: Any) -> Any:
     The arguments, and the result, are numbers on the host or scalar arrays inside `jit`.
     """
     return (abs(predicted_decrease) < 1e-8 * cost) | (abs(predicted_decrease) < 1e-12)
-
-
-_UNEVALUATED = (jax.ShapeDtypeStruct((0,), np.float64),)
-"""The shapes that optimistix sees of `unevaluated_residuals`."""
-
-
-def unevaluated_residuals(z: Step, problem: AbstractProblem) -> tuple[Array]:
-    """Stand for the residuals where `StructuredLM` minimises them and nothing is differentiated.
-
-    Optimistix traces the function to minimise for its shapes and its derivatives alone. To trace
-    the residuals takes a fifth of the time in which a fit is traced.
-
-    Raises:
-        TypeError: when the solution is differentiated.
-    """
-    del problem
-    return (_without_derivatives(z.shared),)
-
-
-@jax.custom_jvp
-def _without_derivatives(parameters: Array) -> Array:
-    """Return no number."""
-    return jnp.zeros((0,), parameters.dtype)
-
-
-@_without_derivatives.defjvp
-def _refuse_derivatives(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    """Say where derivatives are to be had."""
-    raise TypeError("a solution by `solve` or `fit_many` has no derivatives: use sv.optimum")
 
 
 # Compiled separately: optimistix traces the function, and the solver asks for its shapes.

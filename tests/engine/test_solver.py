@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
@@ -12,7 +11,6 @@ from programs import programs_added
 from smartview_jax import Noise
 from smartview_jax.engine import Step, StructuredLM, solve
 from smartview_jax.engine.problem_builder import build_problem
-from smartview_jax.engine.structured_lm import unevaluated_residuals
 from smartview_jax.simulation import random_scene
 
 
@@ -25,12 +23,6 @@ def test_another_function_is_refused():
     ):
         with pytest.raises(ValueError, match="for other functions use"):
             optx.least_squares(function, StructuredLM(), start, args=args)
-
-
-def test_what_stands_for_the_residuals_has_no_derivatives_rather_than_wrong_ones():
-    step = Step(jnp.ones(3), jnp.zeros((0, 6)))
-    with pytest.raises(TypeError, match=r"no derivatives: use sv\.optimum"):
-        jax.jvp(lambda z: unevaluated_residuals(z, None), (step,), (step,))
 
 
 def test_a_problem_along_other_axes_is_the_same_problem():
