@@ -1,9 +1,8 @@
-"""Estimate what robots of one type have in common: errors of all, and how large the others are.
+"""Estimate what robots of one type have in common: some errors, and the sizes of the rest.
 
-Robots of one type have some errors in common (`type_mean`). They differ in what they deviate
-from these, but not much in how large it is. The logarithms x of
-the standard deviations of robot i (pose noise, and each group of an error field) are Gaussian about
-the type's:
+Robots of one type have some errors in common (`type_mean`). Each robot deviates from these by
+errors of its own, whose sizes differ little between the robots. The logarithms x of the standard
+deviations of robot i (pose noise, and each group of an error field) are Gaussian about the type's:
 
     x_i ~ N(mu, T),  mu ~ N(m, S)
 
@@ -11,9 +10,9 @@ with m and S from the prior for any robot, and T, one spread of the pose noise a
 field's groups, by maximum likelihood with x and mu integrated out. Each robot's views contribute
 their likelihood, approximated by a Gaussian at the peak of its posterior (`SizesOfErrors`). This
 posterior uses the prior of the type, so estimates and approximations are repeated in turn. The next
-robot then needs fewer views, because its errors are weighted like its type's. What a robot
-deviates is seen from the common errors that the other robots tell: otherwise, with few robots,
-their deviations would look too small.
+robot then needs fewer views, because its errors are weighted like its type's. A robot's deviations
+are measured from the common errors that the other robots tell: if it took part in their mean, the
+deviations of few robots would look too small.
 
 A robot may be of another type. Its evidence under the type's prior is compared with the evidence
 under the prior for any robot, and its weight in the estimates is the probability that it belongs.
@@ -74,8 +73,8 @@ class FleetPrior(RobotPrior):
         medians |= self.group_medians
         lines = [f"robots of one type, with errors {self.model!r} (m, rad)"]
         lines += [
-            f"  {name}: {medians[name]:.2g}, x/ {self.geometric_std_of(name):.2f}"
-            for name in self.geometric_std_by_name
+            f"  {name}: {medians.get(name, self.other_group_median):.2g}, x/ {geometric_std:.2f}"
+            for name, geometric_std in self.geometric_std_by_name.items()
         ]
         common = {} if self.common_errors is None else self.common_errors.mean_and_std
         lines += [
@@ -94,12 +93,14 @@ class FleetPrior(RobotPrior):
 def fleet_prior(fits: Iterable[JointFit], general: RobotPrior | None = None) -> FleetPrior:
     """Estimate the prior of the errors of one type of robot from fits of several of them.
 
-    The prior of a fit does not matter, only what its views say.
+    The prior of a fit does not matter, only what its views say. The errors that all robots have in
+    common are estimated if all were fitted with joint readings of the same nominal arm.
 
     Args:
         fits: fits with estimated noise, for instance by `calibrate_many`; robots of another type
             among them are recognised (`FleetPrior.outsiders`) and left out.
-        general: prior for a robot of any type; few robots change it little.
+        general: prior for a robot of any type; few robots change it little. Errors in common, if
+            it is the prior of a type, are not used.
 
     Raises:
         ValueError: fewer than two fits, a fit with given noise, or fits whose models of the robot
@@ -113,7 +114,7 @@ def fleet_prior(fits: Iterable[JointFit], general: RobotPrior | None = None) -> 
         >>> print(f"{1e3 * sv.fleet_prior(fits).translation_median:.3f} mm")  # doctest: +SKIP
         0.072 mm
     """
-    general = general or RobotPrior()
+    general = dataclasses.replace(general or RobotPrior(), common_errors=None)
     evidence = [_evidence_of(k, fit) for k, fit in enumerate(fits)]
     if len(evidence) < MINIMUM_FITS:
         raise ValueError(f"fleet_prior: expected at least two fits, found {len(evidence)}")
@@ -178,8 +179,8 @@ def _likeliest_type(
             groups = evidence[0].groups(model)
             estimate = _prior_of(sizes[model], members, groups, general)
             priors[model] = estimate if k == 0 else _halfway(priors[model], estimate)
-            # Errors in common are part of what each robot seems to deviate at first. Unless that is
-            # limited, it explains them, and they are never found.
+            # At first, deviations contain the errors in common. Unless the sizes are limited, the
+            # deviations explain these errors, which are then never found.
             largest = None if k > 0 else general
             common[model] = _common_errors(evidence, model, sizes[model], members, general, largest)
         if k > 0 and _relative_change(last, priors[best]) < SIZE_TOLERANCE:
@@ -190,7 +191,7 @@ def _likeliest_type(
 def _with_other_groups(
     priors: Mapping[str, RobotPrior], best: str, robot: RobotEvidence
 ) -> RobotPrior:
-    """Return the best model's prior, with the sizes of other groups as smaller models have them.
+    """Return the best model's prior, with each other group's size as the smallest model has it.
 
     With the sizes of any robot's errors in these groups, a robot of any type would belong.
     """

@@ -29,6 +29,10 @@ MEAN_BOUNDS = (1e-3, 1e3)
 MEAN_STARTS = (0.03, 0.3, 3.0)
 """Standard deviations of means, in the same unit, at which the search for them begins."""
 
+SMALLEST_MEAN = 0.02
+"""Standard deviation of means, in the same unit, below which there is none: robots that hardly
+deviate from each other would have one in every group, however small, and so the largest field."""
+
 NEGLIGIBLE_SHARE, NEGLIGIBLE_SHARE_OF_OTHERS = 1e-2, 5e-2
 """Share of the variance of single robots below which a variance of the mean is left out: of all
 robots' mean, and of the others' with which a robot is compared, to save time."""
@@ -80,7 +84,7 @@ class TypeMean(NamedTuple):
         vector = members[:, None] * (inverse @ vector[..., None])[..., 0]
         stds = _likeliest_mean_stds(information.sum(0), vector.sum(0), group_index)[group_index]
         typical = members @ variance / max(float(members.sum()), 1.0)
-        has_mean = stds**2 > NEGLIGIBLE_SHARE * np.maximum(typical, MEAN_BOUNDS[0] ** 2)
+        has_mean = stds**2 > np.maximum(NEGLIGIBLE_SHARE * typical, SMALLEST_MEAN**2)
         stds = np.where(has_mean, stds, MEAN_BOUNDS[0])
         precision = information.sum(0) + np.diag(stds**-2.0)
         return cls(precision, vector.sum(0), information, vector, has_mean)

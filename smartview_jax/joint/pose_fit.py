@@ -40,6 +40,7 @@ from .robust_hand_eye import chain_errors
 from .sensor_error import with_sensor_error
 from .tracker_noise import (
     TrackedChain,
+    TrackerNoise,
     TrackerPrior,
     in_tracker_units,
     likeliest_noise,
@@ -76,7 +77,8 @@ class TrackedPoses(Protocol):
 class PoseFit(JointFit):
     """A joint fit to tracked poses.
 
-    It is a `JointFit` whose `residuals` and `pixel_sigma` are in units of the tracker's noise.
+    It is a `JointFit` whose `residuals` and `pixel_sigma` are in units of the tracker's noise, and
+    whose `problem` and `solution` are without the camera.
 
     Attributes:
         has_camera: whether the camera of the calibration was given.
@@ -258,8 +260,8 @@ def fit_poses(
     calibration, consistent, ambiguities = begin.calibration, begin.consistent, begin.ambiguities
     report(f"start: {consistent.sum()} of {len(data.usable_views())} pairs agree")
 
-    def fit_consistent() -> tuple[PoseDataset, JointFit, TrackerDrift | None]:
-        """Return the pairs that agree, with the tracker's noise, the fit to them and the drift."""
+    def fit_consistent() -> tuple[PoseDataset, JointFit, TrackerNoise | None, TrackerDrift | None]:
+        """Return the pairs that agree, the fit to them, and the tracker's noise and drift."""
         used = without_views(data, _contradictions(data, calibration, consistent))
         noise = drift = None
         if not data.states_covariance:
@@ -282,20 +284,20 @@ def fit_poses(
             progress=progress,
             **choice.holding("camera")._asdict(),
         )
-        if noise is not None and drift is None and not (fixed or priors):
-            # The fit takes the ratios of the tracker's noises as known.
-            fit = widened_to(fit, noise.chain_covariance())
-        return used, fit, drift
+        return used, fit, noise, drift
 
-    used, fit, drift = fit_consistent()
+    used, fit, noise, drift = fit_consistent()
     for _ in range(MAX_ROUNDS - 1):
         again = _consistent_again(used, fit, data.seen) & ~consistent
         if not again.any():
             break
         consistent = consistent | again
-        used, fit, drift = fit_consistent()
+        used, fit, noise, drift = fit_consistent()
     if drift is not None:
         fit = with_uncertain_drift(fit, drift)
+    elif noise is not None and not (fixed or priors):
+        chain = TrackedChain(used, calibration, scale, prior, tracker_prior or TrackerPrior())
+        fit = _with_uncertain_noise(fit, chain, noise)
     doubts = (*ambiguities, *_doubt_of_direction(data, fit.calibration, start, priors))
     fit = dataclasses.replace(fit, warnings=(*doubts, *fit.warnings))
     covariance = used.covariance
@@ -310,6 +312,23 @@ def fit_poses(
         dataclasses.replace(each, camera=camera) for each in (fit.calibration, fit.start)
     )
     return dataclasses.replace(fit, calibration=calibration, start=begun_at)
+
+
+def _with_uncertain_noise(fit: JointFit, chain: TrackedChain, noise: TrackerNoise) -> JointFit:
+    """Return the fit, which takes the ratios of noises as known, with a covariance over all sizes.
+
+    Args:
+        fit: the fit.
+        chain: the pairs that it was given.
+        noise: as they tell it.
+    """
+    rejected = {rejection.view for rejection in fit.rejected}
+    data = chain.data
+    wrong = {int(k): "" for k in np.flatnonzero(data.seen) if data.view_ids[k] in rejected}
+    if wrong:
+        # Pairs that contradict the others make the noise look larger.
+        noise = likeliest_noise(chain._replace(data=without_views(data, wrong)))
+    return widened_to(fit, noise.chain_covariance())
 
 
 def tracked_pose_errors(

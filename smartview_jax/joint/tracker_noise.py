@@ -128,11 +128,13 @@ class TrackerNoise(NamedTuple):
         probabilities = np.exp(evidence - np.logaddexp.reduce(evidence))
         best = self.hypotheses[int(np.argmax(evidence))]
         step = best.found.pairs.solved(best.found.variances)
+        likely = probabilities >= MIN_HYPOTHESIS_PROBABILITY
+        probabilities = np.where(likely, probabilities, 0.0) / probabilities[likely].sum()
         covariance = np.zeros((len(step), len(step)))
-        for hypothesis, probability in zip(self.hypotheses, probabilities, strict=True):
-            if probability >= MIN_HYPOTHESIS_PROBABILITY:
-                about = step - hypothesis.offset_from(best)
-                covariance += probability * averaged_covariance(hypothesis.found, about)
+        for k in np.flatnonzero(likely):
+            hypothesis = self.hypotheses[k]
+            about = step - hypothesis.offset_from(best)
+            covariance += probabilities[k] * averaged_covariance(hypothesis.found, about)
         return in_named_parameters(covariance, *best.transforms)
 
 

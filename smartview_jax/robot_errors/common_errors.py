@@ -31,13 +31,13 @@ class CommonErrors:
         names: names of the coefficients, as those of a field of arm errors.
         mean: mean of each coefficient over the type: m, rad or no unit.
         root: a matrix R by rows, one for each coefficient; `R R^T` is the covariance of the mean.
-        arm_parameters: the Denavit-Hartenberg parameters of the nominal arm that has these errors.
+        arm_parameters: the function of that name, of the nominal arm that has these errors.
     """
 
     names: tuple[str, ...]
     mean: tuple[float, ...]
     root: tuple[tuple[float, ...], ...]
-    arm_parameters: tuple[float, ...]
+    arm_parameters: tuple[str | float, ...]
 
     @property
     def mean_and_std(self) -> dict[str, tuple[float, float]]:
@@ -51,7 +51,7 @@ class CommonErrors:
         """Return the field of an arm's deviations from its type.
 
         Args:
-            errors: field of the errors, which may lack the last coefficients if they have no mean.
+            errors: field of the errors; of coefficients that it lacks the mean is left out.
 
         Raises:
             ValueError: the field is of another nominal arm.
@@ -67,10 +67,13 @@ class CommonErrors:
         return ErrorsOfType.of(errors, np.array(mean), np.array(root))
 
 
-def arm_parameters(arm: SerialArm) -> tuple[float, ...]:
-    """Return the Denavit-Hartenberg parameters of an arm as plain numbers: theta, d, a, alpha."""
-    rows = (arm.theta, arm.d, arm.a, arm.alpha)
-    return tuple(float(x) for row in rows for x in np.asarray(row))
+def arm_parameters(arm: SerialArm) -> tuple[str | float, ...]:
+    """Return what tells nominal arms apart: convention, kinds of joints, theta, d, a and alpha.
+
+    The numbers are rounded to a nanometre and a nanoradian, as files of other programs may be.
+    """
+    rows = (arm.prismatic, arm.theta, arm.d, arm.a, arm.alpha)
+    return arm.convention, *(round(float(x), 9) for row in rows for x in np.asarray(row))
 
 
 class ErrorsOfType(AbstractArmErrors):
@@ -87,6 +90,14 @@ class ErrorsOfType(AbstractArmErrors):
     errors: AbstractArmErrors
     mean: Float[Array, "errors"]
     root: Float[Array, "errors uncertain"]
+
+    def __check_init__(self) -> None:
+        sizes = {"mean": len(self.mean), "root": len(self.root)}
+        for name, size in sizes.items():
+            if size != self.errors.size:
+                raise ValueError(
+                    f"{name}: expected a row for each of {self.errors.size} errors, found {size}"
+                )
 
     @classmethod
     def of(

@@ -27,7 +27,7 @@ class RobotError(HostModule):
 
     @classmethod
     def zero(cls, field: AbstractField) -> "RobotError":
-        """Return the error with all coefficients zero: of a type's mean, which mostly is none."""
+        """Return the error with all coefficients zero: none, or the errors that a type has."""
         return cls(field, to_device(np.zeros(field.size)))
 
     @classmethod

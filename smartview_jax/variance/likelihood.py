@@ -209,7 +209,7 @@ class LinearisedViews(NamedTuple):
                 self.offset_from_prior.per_view,
             ),
             known_weight=self.known_weight[kept],
-            group_index=index - (index > removed) if len(removed) else index,
+            group_index=index - (index > removed) if (removed >= 0).any() else index,
         )
 
     def lower_bounds(self, component_count: int) -> Float[AnyArray, "kinds"]:

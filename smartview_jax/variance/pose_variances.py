@@ -25,6 +25,10 @@ SMALLEST_PART = 1e-3
 DEVIANCE_TOLERANCE = 1e-13
 """Relative change of the deviance that ends the search: variances are then found to 1e-5."""
 
+KNOWN_CHANGE = 0.1
+"""Relative change of a covariance by one standard deviation of each size, below which the sizes
+are known: their average would change the covariance by about half of its square for each."""
+
 SIZE_DRAWS = 256
 """Number of draws of the sizes of noises over which a covariance is averaged."""
 
@@ -242,34 +246,64 @@ def averaged_covariance(
 
     A few pairs do not tell the sizes. The covariance is the mean of the covariances at each size,
     by its posterior probability, plus the scatter of the estimates at these sizes (law of total
-    covariance). Where the sizes are well known, it is the covariance at the likeliest ones.
+    covariance). Where the sizes are known well enough, it is the covariance at the likeliest ones.
 
     Args:
         likeliest: the likeliest sizes, with proper priors.
         about: the estimate, a step of the unknowns; by default the one at the likeliest sizes.
     """
     deviance, count = _Deviance(likeliest.pairs, likeliest.priors), len(likeliest.variances)
+    centre, widest = np.log(likeliest.variances), -2.0 * np.log(SMALLEST_PART)
+    root = 2.0 * np.linalg.cholesky(np.linalg.inv(likeliest.information))
+    value, step, covariance = deviance.solution(centre)
+    offset = np.zeros(len(step)) if about is None else step - about
+    at_likeliest = covariance + np.outer(offset, offset)
+    if all(
+        _is_nearly(covariance, step, *deviance.solution(centre + sign * change)[1:])
+        for change in root.T
+        for sign in (1.0, -1.0)
+    ):
+        return at_likeliest
     # Importance sampling from a Student distribution about the likeliest logarithms, wider than
-    # the normal one of their information. Each draw has its mirror image.
+    # the normal one of their information.
+    drawn = _student_draws(count)
+    logarithms = centre + PROPOSAL_WIDTH * drawn @ root.T
+    possible = (np.abs(logarithms) <= widest).all(axis=1)
+    logarithms, drawn = logarithms[possible], drawn[possible]
+    if not len(drawn):
+        return at_likeliest
+    solutions = [deviance.solution(drawing) for drawing in logarithms]
+    values, steps, covariances = (np.array(part) for part in zip(*solutions, strict=True))
+    log_proposal = np.log1p(np.sum(drawn**2, axis=1) / PROPOSAL_FREEDOM)
+    log_proposal *= -0.5 * (PROPOSAL_FREEDOM + count)
+    log_weights = -0.5 * (values - value) - log_proposal
+    weights = np.exp(log_weights - log_weights.max())
+    if not weights.sum() > 0.0:
+        return at_likeliest
+    weights /= weights.sum()
+    scatter = steps - step + offset
+    return np.tensordot(weights, covariances, 1) + scatter.T @ (weights[:, None] * scatter)
+
+
+def _student_draws(count: int) -> Float[np.ndarray, "draws numbers"]:
+    """Return draws of a Student distribution about zero, each with its mirror image."""
     random, freedom = np.random.default_rng(0), PROPOSAL_FREEDOM
     normal = random.standard_normal((SIZE_DRAWS // 2, count))
     drawn = normal / np.sqrt(random.chisquare(freedom, (SIZE_DRAWS // 2, 1)) / freedom)
-    drawn = np.concatenate([drawn, -drawn])
-    root = np.linalg.cholesky(np.linalg.inv(likeliest.information))
-    centre, widest = np.log(likeliest.variances), -2.0 * np.log(SMALLEST_PART)
-    logarithms = centre + 2.0 * PROPOSAL_WIDTH * drawn @ root.T
-    possible = (np.abs(logarithms) <= widest).all(axis=1)
-    logarithms, drawn = logarithms[possible], drawn[possible]
-    solutions = [deviance.solution(drawing) for drawing in (centre, *logarithms)]
-    values, steps, covariances = (np.array(part) for part in zip(*solutions, strict=True))
-    log_proposal = -0.5 * (freedom + count) * np.log1p(np.sum(drawn**2, axis=1) / freedom)
-    log_weights = -0.5 * (values[1:] - values[0]) - log_proposal
-    weights = np.exp(log_weights - log_weights.max(initial=-np.inf))
-    if not weights.sum() > 0.0:
-        return covariances[0]
-    weights /= weights.sum()
-    scatter = steps[1:] - (steps[0] if about is None else about)
-    return np.tensordot(weights, covariances[1:], 1) + scatter.T @ (weights[:, None] * scatter)
+    return np.concatenate([drawn, -drawn])
+
+
+def _is_nearly(
+    covariance: Float[np.ndarray, "unknowns unknowns"],
+    step: Float[np.ndarray, "unknowns"],
+    other_step: Float[np.ndarray, "unknowns"],
+    other_covariance: Float[np.ndarray, "unknowns unknowns"],
+) -> bool:
+    """Return whether another covariance and step are nearly the same, in standard deviations."""
+    size = np.sqrt(np.diagonal(covariance))
+    size = np.where(size > 0.0, size, 1.0)
+    changes = (other_step - step) / size, (other_covariance - covariance) / np.outer(size, size)
+    return all(bool((np.abs(change) < KNOWN_CHANGE).all()) for change in changes)
 
 
 class _Deviance:

@@ -112,11 +112,7 @@ class RobotEvidence(NamedTuple):
         """
         group_names = statistics.group_names
         if isinstance(basis, ErrorsOfType):
-            whole, common = _indices(names, basis.errors.names), _common_indices(names)
-            views = views.without_common(
-                whole, common, np.asarray(basis.mean), np.asarray(basis.root)
-            )
-            names = [name for k, name in enumerate(names) if k not in common]
+            views, names = about_zero(views, names, basis)
             group_names = tuple(name for name in group_names if name != COMMON_ERROR)
             basis = basis.errors
         return cls(
@@ -140,7 +136,7 @@ class RobotEvidence(NamedTuple):
 
     def about(self, common: CommonErrors | None) -> LinearisedViews:
         """Return the views with the prior means of the errors of a type."""
-        if common is None or self.basis is None:
+        if common is None or self.arm_errors is None:
             return self.views
         indices = _indices(self.names, common.names)
         return self.views.about_common(indices, np.array(common.mean), np.array(common.root))
@@ -231,12 +227,29 @@ class RobotEvidence(NamedTuple):
         return ones[[0, 1, *(2 + names.index(name) for name in groups)]]
 
 
+def about_zero(
+    views: LinearisedViews, names: Sequence[str], field: ErrorsOfType
+) -> tuple[LinearisedViews, tuple[str, ...]]:
+    """Return views with the whole errors of an arm, and the names of their shared parameters.
+
+    Errors that the fit holds are none of the parameters.
+
+    Args:
+        views: views with what the arm deviates from its type.
+        names: names of their shared parameters.
+        field: the field about the type.
+    """
+    place = {name: k for k, name in enumerate(names)}
+    places = [place.get(f"{ROBOT_ERROR}.{name}", -1) for name in field.names]
+    whole, common = np.split(np.array(places, dtype=int), [field.errors.size])
+    mean, root = np.asarray(field.mean), np.asarray(field.root)
+    is_free, uncertain = whole >= 0, common >= 0
+    views = views.without_common(
+        whole[is_free], common[uncertain], mean[is_free], root[np.ix_(is_free, uncertain)]
+    )
+    return views, tuple(name for k, name in enumerate(names) if k not in common)
+
+
 def _indices(names: Sequence[str], coefficients: Sequence[str]) -> Int[np.ndarray, "coefficients"]:
     """Return the indices of an error field's coefficients among the names of parameters."""
     return np.array([names.index(f"{ROBOT_ERROR}.{name}") for name in coefficients], dtype=int)
-
-
-def _common_indices(names: Sequence[str]) -> Int[np.ndarray, "uncertain"]:
-    """Return the indices of what is uncertain of the errors that a type has in common."""
-    prefix = f"{ROBOT_ERROR}.{COMMON_ERROR}."
-    return np.array([k for k, name in enumerate(names) if name.startswith(prefix)], dtype=int)

@@ -84,7 +84,13 @@ def of_type():
     return prior, fit_of(5, prior=prior, arm_error=error_of(5))
 
 
-def test_the_next_robot_has_the_errors_of_its_type(of_type):
+@pytest.fixture(scope="module")
+def alone():
+    """The next robot's fit without this prior."""
+    return fit_of(5, arm_error=error_of(5))
+
+
+def test_the_next_robot_has_the_errors_of_its_type(of_type, alone):
     prior, fit = of_type
     mean = prior.common_errors.mean_and_std
     # The zeros of the first and the last joint are the target's pose and the hand-eye transform.
@@ -95,9 +101,9 @@ def test_the_next_robot_has_the_errors_of_its_type(of_type):
     assert "in common joint_offset.2: 0.005" in str(prior)
     assert pickle.loads(pickle.dumps(prior)) == prior
     zeros = np.asarray(fit.calibration.robot_error.whole.coefficients)[1:5]
-    alone = fit_of(5, arm_error=error_of(5)).calibration.robot_error
     truth = np.asarray(error_of(5).coefficients)[1:5]
-    missed, without = (np.linalg.norm(found - truth) for found in (zeros, alone.coefficients[1:5]))
+    about_zero = np.asarray(alone.calibration.robot_error.coefficients)[1:5]
+    missed, without = (np.linalg.norm(found - truth) for found in (zeros, about_zero))
     assert missed < 0.7 * without
     assert missed < 0.2 * np.linalg.norm(truth)
 
@@ -123,11 +129,11 @@ def test_the_zero_of_the_last_joint_is_named_with_what_its_type_leaves_open(of_t
     assert min(held[name] / fit.confidence_half_width(name) for name in held) < 0.8
 
 
-def test_robots_of_a_type_are_known_by_fits_about_it(of_type):
+def test_robots_of_a_type_are_known_by_fits_about_it(of_type, alone):
     """What views say does not depend on the prior of their fit."""
     prior, fit = of_type
     evidence = fit.noise_estimate.robot_evidence
-    about_zero = fit_of(5, arm_error=error_of(5)).noise_estimate.robot_evidence
+    about_zero = alone.noise_estimate.robot_evidence
     assert evidence.names == about_zero.names
     found, expected = (e.sizes(prior.model, prior) for e in (evidence, about_zero))
     np.testing.assert_allclose(found.sigmas.vector[:3], expected.sigmas.vector[:3], rtol=0.05)

@@ -55,6 +55,14 @@ def test_robots_without_common_errors_have_none_and_two_prove_little():
         assert all(abs(mean) < 3.0 * std for mean, std in two.mean_and_std.values())
 
 
+@pytest.mark.parametrize("count", [3, 40])
+def test_robots_without_any_errors_have_none_in_common(count):
+    """Not small ones either, for which the next robot would need a larger field."""
+    assert common_of(robots_of(count, np.zeros(6), 0.0)).told_by_all is None
+    exact = common_of(robots_of(count, TYPE_ZEROS, 0.0)).told_by_all
+    np.testing.assert_allclose(exact.mean, TYPE_ZEROS, atol=0.1 * MEDIAN)
+
+
 def test_a_robot_is_left_out_of_the_mean_that_it_is_compared_with():
     """The mean of the others, by the formula on dense matrices; one of another type has no part."""
     robots = robots_of(5, TYPE_ZEROS, 0.3 * MEDIAN)

@@ -148,6 +148,17 @@ def test_noise_along_the_line_of_sight_has_its_own_size(fit, unit):
     assert 0.5 < along_over_across(fit) < 2.0
 
 
+def test_a_pair_that_the_fit_leaves_out_does_not_widen_the_covariance(fit):
+    """Its error is too small for the start to see it."""
+    robot, measured = tracked(0)
+    measured[3] = measured[3] @ host_exponentials(np.array([0.0, 0.0, 0.0, 0.02, 0.0, 0.0]))
+    measured[3, :3, 3] += 2e-3 * np.array([1.0, -1.0, 1.0])
+    spoilt = sv.fit_poses(PoseDataset.from_poses(robot, measured), field=None)
+    assert "standard deviations from where the other views put it" in spoilt.rejected[0].reason
+    stds = [np.sqrt(np.diagonal(covariance_of(each))) for each in (spoilt, fit)]
+    assert (stds[0] < 1.25 * stds[1]).all()
+
+
 def test_the_covariance_is_true():
     fits = [sv.fit_poses(data_of(seed), field=None) for seed in range(1, 5)]
     scores = nees(np.array([error_of(f) for f in fits]), np.array([covariance_of(f) for f in fits]))

@@ -1,5 +1,6 @@
 """A robot's errors about the ones that its type has in common, against errors about zero."""
 
+import dataclasses
 import pickle
 
 import equinox as eqx
@@ -20,6 +21,8 @@ from smartview_jax.robot_errors import (
     RobotError,
     RobotPrior,
     arm_parameters,
+    robot_error_from_dict,
+    robot_error_to_dict,
 )
 from smartview_jax.robots import kuka_lwr4, six_axes
 
@@ -96,8 +99,21 @@ def test_a_prior_knows_for_which_arm_it_is(common):
     others = LinearInPosition.from_poses(SE3.identity((3,)))
     assert prior.about_type(others) is others
     assert prior.about_type(None) is None
-    with pytest.raises(ValueError, match="are of robots with other Denavit-Hartenberg parameters"):
-        prior.about_type(JointOffsets(kuka_lwr4()))
+    rounded = dataclasses.replace(ARM, theta=ARM.theta + 1e-13)
+    assert prior.about_type(JointOffsets(rounded)).errors.arm is rounded
+    # The same numbers mean another arm in the other convention, and for joints that slide.
+    slides = dataclasses.replace(ARM, prismatic=(True, *ARM.prismatic[1:]))
+    for other in (kuka_lwr4(), dataclasses.replace(ARM, convention="modified"), slides):
+        with pytest.raises(ValueError, match="are of robots with other Denavit-Hartenberg para"):
+            prior.about_type(JointOffsets(other))
+
+
+def test_a_mean_of_other_errors_is_refused(error):
+    """As in a file that was edited by hand."""
+    content = robot_error_to_dict(error)
+    field = content["field"] | {name: content["field"][name][:1] for name in ("mean", "root")}
+    with pytest.raises(ValueError, match="mean: expected a row for each of 24 errors, found 1"):
+        robot_error_from_dict(content | {"field": field}, None)
 
 
 def test_a_prior_of_an_earlier_version_is_read():

@@ -102,9 +102,16 @@ def test_few_pairs_have_the_covariance_of_all_sizes_of_the_noise():
 
 
 def test_known_sizes_of_the_noise_add_nothing_to_the_covariance():
+    """And cost no draws: the covariance is exactly the one of the likeliest sizes."""
     one, found = one_noise_of(16, 1e-3)
     expected = one.inverse(found.variances)
-    np.testing.assert_allclose(averaged_covariance(found), expected, rtol=1e-3)
+    np.testing.assert_allclose(averaged_covariance(found), expected, rtol=1e-8)
+    # About another estimate, with its distance.
+    distance = np.sqrt(np.diagonal(expected))
+    about = one.solved(found.variances) - distance
+    np.testing.assert_allclose(
+        averaged_covariance(found, about), expected + np.outer(distance, distance), rtol=1e-6
+    )
 
 
 def test_the_information_is_the_curvature_of_the_likelihood():

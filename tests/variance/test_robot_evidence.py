@@ -4,7 +4,10 @@ import numpy as np
 from linear_world import CAMERA, FIELD, MOUNT, SHARED, TRUTH, VIEWS, drawn, linear_world, linearised
 from scipy.stats import multivariate_normal
 
+from smartview_jax.robot_errors import ErrorsOfType, JointOffsets
+from smartview_jax.robots import six_axes
 from smartview_jax.variance.likelihood import marginalise
+from smartview_jax.variance.robot_evidence import about_zero
 
 ERRORS = np.arange(CAMERA + MOUNT, SHARED)
 
@@ -59,3 +62,26 @@ def test_a_fit_about_a_type_tells_the_same_as_one_about_zero():
         np.testing.assert_allclose(
             marginalise(again, sizes).deviance, marginalise(views, sizes).deviance, rtol=1e-12
         )
+
+
+def test_errors_that_a_fit_holds_are_left_out():
+    """Of six zeros the third is held; then one of the two common errors, or all errors, too."""
+    rng, world = np.random.default_rng(2), linear_world()
+    field = ErrorsOfType.of(JointOffsets(six_axes()), rng.normal(size=6), rng.normal(size=(6, 2)))
+    mean, root = (np.delete(np.asarray(x), 2, axis=0) for x in (field.mean, field.root))
+    others = tuple(f"other.{k}" for k in range(CAMERA + MOUNT))
+    zeros = tuple(f"robot_error.joint_offset.{k}" for k in (1, 2, 4, 5, 6))
+    views = linearised(world, drawn(world, 0))
+    for free in (("1", "2"), ("2",), ()):
+        of_free = root[:, [int(number) - 1 for number in free]]
+        about = views.about_common(ERRORS, mean, of_free)
+        common = tuple(f"robot_error.common_error.{number}" for number in free)
+        again, names = about_zero(about, (*others, *zeros, *common), field)
+        assert names == (*others, *zeros)
+        np.testing.assert_allclose(
+            marginalise(again, TRUTH).deviance, marginalise(views, TRUTH).deviance, rtol=1e-12
+        )
+    without = views.with_held(np.arange(SHARED) >= CAMERA + MOUNT)
+    again, names = about_zero(without, others, field)
+    assert names == others
+    assert marginalise(again, TRUTH).deviance == marginalise(without, TRUTH).deviance
