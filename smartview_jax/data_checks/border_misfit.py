@@ -3,14 +3,15 @@
 A lens that bends more than its model can puts the points near the border far from where the model
 does. There they are few, and are left out as outliers: what is left fits well, and nothing shows
 that the camera is wrong where it saw points. But errors of detection have any direction, while a
-wrong lens displaces all points outward, or all inward.
+wrong lens displaces all points outward, or all inward; and they are anywhere and few, while a wrong
+lens displaces most of the points that are as far out.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from scipy.special import bdtrc
 
 from ..cameras import Camera
@@ -29,9 +30,10 @@ class BorderMisfit(NamedTuple):
     """Points near the border of the pictures that a camera does not fit.
 
     Attributes:
-        left_out: number of points that were left out and are displaced as by a lens.
-        seen: number of all points that were seen as far from the principal point.
-        radius: smallest distance of these points from the principal point, px.
+        left_out: number of points near the border that were left out, displaced as by a lens.
+        seen: number of all points near the border.
+        radius: distance from the principal point at which the border begins, px: beyond it the
+            points that are displaced so outnumber the others by most.
         largest: largest distance of such a point from where the camera puts it, px.
     """
 
@@ -78,28 +80,34 @@ def find_border_misfit(
     visible = np.asarray(observations.visible) & used[:, None]
     poses = host_matrices(camera_from_world)
     residuals = np.asarray(view_residuals(camera, to_device(np.ones(())), poses, observations))
-    left_out = visible & ~inliers & np.isfinite(residuals).all(axis=2)
-    middle = np.array([float(camera.u0), float(camera.v0)])
-    rays = np.asarray(observations.pixels) - middle
-    radii = np.linalg.norm(rays, axis=2)
-    residual, ray = residuals[left_out], rays[left_out]
+    visible &= np.isfinite(residuals).all(axis=2)
+    left_out = visible & ~inliers
+    rays = np.asarray(observations.pixels) - [float(camera.u0), float(camera.v0)]
+    radii, lengths = np.linalg.norm(rays, axis=2), np.linalg.norm(residuals, axis=2)
     # The sine of 45 degrees: a quarter of all directions are as near to the outward one.
-    lengths = np.linalg.norm(residual, axis=1) * np.linalg.norm(ray, axis=1)
-    along = np.sum(residual * ray, axis=1) > np.sqrt(0.5) * lengths
-    against = np.sum(residual * ray, axis=1) < -np.sqrt(0.5) * lengths
-    radial = max(along, against, key=np.count_nonzero)
-    count = int(np.count_nonzero(radial))
-    # Either direction may be the commoner one.
-    if count == 0 or 2.0 * bdtrc(count - 1, len(radial), 0.25) > MAX_CHANCE:
-        return None
-    displaced = np.zeros_like(left_out)
-    displaced[left_out] = radial
+    with np.errstate(invalid="ignore"):
+        cosine = np.sum(residuals * rays, axis=2) / np.maximum(lengths * radii, 1e-300)
+        along, against = left_out & (cosine > np.sqrt(0.5)), left_out & (cosine < -np.sqrt(0.5))
+    displaced = max(along, against, key=np.count_nonzero)
+    radius = _border_radius(radii[visible], displaced[visible])
+    at_border = visible & (radii >= radius)
+    displaced &= at_border
     if np.count_nonzero(displaced.any(axis=1)) < MIN_VIEWS:
         return None
-    radius = float(radii[displaced].min())
-    return BorderMisfit(
-        count,
-        int(np.count_nonzero(radii[visible] >= radius)),
-        radius,
-        float(np.linalg.norm(residuals[displaced], axis=1).max()),
-    )
+    count = int(np.count_nonzero(displaced))
+    # Either direction may be the commoner one.
+    if 2.0 * bdtrc(count - 1, np.count_nonzero(left_out & at_border), 0.25) > MAX_CHANCE:
+        return None
+    largest = float(lengths[displaced].max())
+    return BorderMisfit(count, int(np.count_nonzero(at_border)), radius, largest)
+
+
+def _border_radius(
+    radii: Float[np.ndarray, "points"], displaced: Bool[np.ndarray, "points"]
+) -> float:
+    """Return the distance beyond which displaced points outnumber others by most; or infinity."""
+    outermost_first = np.argsort(-radii)
+    excess = np.cumsum(np.where(displaced[outermost_first], 1, -1))
+    if not (excess > 0).any():
+        return np.inf
+    return float(radii[outermost_first[np.argmax(excess)]])

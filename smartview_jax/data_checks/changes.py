@@ -210,8 +210,13 @@ def evidence_of_change(mount_from_holder: SE3, camera_from_world: SE3, first_vie
         mount_from_holder: as in `find_change`; all views are used.
         camera_from_world: from the pictures alone, `(views)`.
         first_view: index of the first view after the change.
+
+    Returns:
+        Minus infinity if a pose is not finite, or too few views are before or after the change.
     """
     views = np.arange(camera_from_world.get_batch_axes()[0])
+    if min(first_view, len(views) - first_view) < ChangeOptions().min_views_on_a_side:
+        return -np.inf
     motions = motions_from_camera_to_target(mount_from_holder, camera_from_world, views, 1.0)
     if motions is None:
         return -np.inf

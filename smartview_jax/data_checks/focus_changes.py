@@ -37,6 +37,9 @@ MIN_SIZE = 1e-3
 It moves the target by half a millimetre at half a metre, which no good robot errs by.
 """
 
+MAX_LOGARITHM = 50.0
+"""Largest logarithm of a standard deviation: a search that steps far still has finite numbers."""
+
 MAX_LISTED = 5
 """Largest number of views with another focal length that a sentence lists."""
 
@@ -213,11 +216,13 @@ def _change_of_single_views(
     count, chosen = len(views), list[int]()
     # A number for each view, which may be any.
     penalty = np.log(3.0 * count) + 2.0 * np.log(count)
+    explained = errors
     while len(chosen) < MAX_REJECTED_FRACTION * count - 1.0:
-        others = [view for view in range(count) if view not in chosen]
-        chosen.append(
-            min(others, key=lambda view: errors.with_free_views(along, [*chosen, view]).sigma)
-        )
+        view, left_over = explained.most_explaining(along)
+        # By less than its number costs no view stands out from the others.
+        if -3.0 * count * np.log(left_over) < penalty:
+            return None
+        chosen.append(view)
         explained = errors.with_free_views(along, chosen)
         fit = explained.likelihood(None)
         if fit.deviance + len(chosen) * penalty < deviance_to_beat:
@@ -290,6 +295,22 @@ class _Positions(NamedTuple):
         columns[free, :, np.arange(len(free))] = vectors[free]
         columns = np.concatenate([self.columns, columns], axis=2)
         return _Positions.of(columns, self.positions, self.noise)
+
+    def most_explaining(self, vectors: Float[np.ndarray, "views 3"]) -> tuple[int, float]:
+        """Return the view whose error along its vector explains most, and what it leaves over.
+
+        What it leaves over is the ratio of the sums of squares with and without its column.
+        """
+        basis = self.equations[:, :, :-1]
+        flat = basis.reshape(-1, basis.shape[2])
+        errors = self.positions - basis @ (flat.T @ self.positions.ravel())
+        # Of a view's column c, what no other column has is (I - B B^T) c, with the basis B.
+        own = np.sum(vectors**2, axis=1) - np.sum(np.einsum("vin,vi->vn", basis, vectors) ** 2, 1)
+        is_free = own > 1e-9 * np.sum(vectors**2, axis=1)
+        explained = np.sum(errors * vectors, axis=1) ** 2 / np.where(is_free, own, np.inf)
+        best = int(np.argmax(explained))
+        squares = max(float(np.sum(errors**2)), 1e-300)
+        return best, max(1.0 - float(explained[best]) / squares, 1e-12)
 
     @property
     def sigma(self) -> float:
@@ -367,5 +388,7 @@ class _Positions(NamedTuple):
         shapes: Float[np.ndarray, "deviations #views 3 3"],
     ) -> tuple[Float[np.ndarray, "deviations"], float]:
         """Return the likeliest logarithms near a start, and their deviance."""
-        result = minimize(self._scored, start, (shapes,), "L-BFGS-B", jac=True)
+        # A bound on both sides would let the first step go as far as either.
+        bounds = [(None, MAX_LOGARITHM)] * len(start)
+        result = minimize(self._scored, start, (shapes,), "L-BFGS-B", jac=True, bounds=bounds)
         return result.x, float(result.fun)

@@ -10,20 +10,16 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Int
 
 from ..calibration import host_mount_from_holder
 from ..dataset import Rig
-from ..geometry import as_se3, host_matrices
-from .changes import Change, ChangeReport, evidence_of_change, find_change
+from ..geometry import as_se3, host_matrices, mean_matrix
+from .changes import Change, ChangeOptions, ChangeReport, evidence_of_change, find_change
+from .closure import Poses
 from .misfit_evidence import STRONG_EVIDENCE
-from .rig_states import (
-    MAX_LEFT_OVER,
-    MIN_COMMON_STATES,
-    SeenTarget,
-    pairs_with_one_target,
-    states_in_common,
-)
-from .transform_fit import misfit_text
+from .rig_states import MAX_LEFT_OVER, SeenTarget, pairs_with_one_target, states_in_common
+from .transform_fit import median_distance, misfit_text, misfits
 
 _Pair = tuple[str, str]
 
@@ -35,7 +31,7 @@ class MovedCamera(NamedTuple):
         pair: names of two cameras whose relative pose changed.
         suspects: the one of them that was moved, or both if nothing tells which.
         view: name of the first state after the change.
-        report: the change, of the last suspect's poses against the other camera's.
+        report: the change, of the second camera's poses against the first one's.
     """
 
     pair: _Pair
@@ -65,7 +61,7 @@ class MovedCamera(NamedTuple):
         """Return what may have been changed, and by how much, as a clause."""
         if change.kind == "zoom":
             zoom = 100.0 * (change.zoom - 1.0)
-            return f"the lens of camera {self.suspects[-1]!r} had zoomed by {zoom:+.1f} %"
+            return f"the lens of camera {self.pair[1]!r} had zoomed by {zoom:+.1f} %"
         by = f"by {misfit_text((change.translation, change.rotation))}"
         if change.kind == "target":
             return f"a target had been moved that only one of them sees {by}"
@@ -79,38 +75,69 @@ def find_moved_cameras(rig: Rig, seen: Mapping[str, SeenTarget]) -> tuple[MovedC
         rig: data sets of the cameras.
         seen: the target as each camera sees it; cameras that are not listed are not compared.
     """
-    changed: dict[_Pair, list[MovedCamera]] = {}
-    unchanged: list[_Pair] = []
+    moved: dict[tuple[str, ...], MovedCamera] = {}
     for pair in pairs_with_one_target(rig, seen):
         # Of the lenses, only that of the second camera is asked whether it zoomed.
         both = [_change(rig, order, seen) for order in ((pair[1], pair[0]), pair)]
-        if found := [change for change in both if change is not None]:
-            changed[pair] = found
-        elif len(states_in_common(rig, *pair, seen)[0]) >= MIN_COMMON_STATES:
-            unchanged.append(pair)
-    cleared = {name for pair in unchanged for name in pair}
-    moved: dict[tuple[str, ...], MovedCamera] = {}
-    for pair, changes in changed.items():
-        suspects = tuple(name for name in pair if name not in cleared) or pair
+        changes = [change for change in both if change is not None]
+        if not changes:
+            continue
+        kept = {name for name in pair if _keeps_its_place(rig, name, changes[0], seen)}
+        suspects = tuple(name for name in pair if name not in kept) or pair
         if len(suspects) > 1:
             suspects = _suspects_by_robot(rig, pair, seen, changes[0].view)
-        of_suspects = [change for change in changes if change.pair[-1] in suspects] or changes
+        of_suspects = [change for change in changes if change.pair[1] in suspects] or changes
         best = min(of_suspects, key=lambda change: change.report.changes[0].score)
-        moved.setdefault(suspects, best._replace(pair=pair, suspects=suspects))
+        moved.setdefault(suspects, best._replace(suspects=suspects))
     return tuple(moved.values())
+
+
+def _states_by_time(
+    rig: Rig, pair: _Pair, seen: Mapping[str, SeenTarget]
+) -> tuple[Int[np.ndarray, "states"], Poses, Poses]:
+    """Return the states in common, and the target's poses, in the order of the first camera.
+
+    The rig lists last which states its own first camera did not see.
+    """
+    states, in_first, in_second = states_in_common(rig, *pair, seen)
+    _, places, _ = np.intersect1d(rig.state_index[pair[0]], states, return_indices=True)
+    order = np.argsort(places)
+    return states[order], in_first[order], in_second[order]
+
+
+def _keeps_its_place(
+    rig: Rig, camera: str, change: MovedCamera, seen: Mapping[str, SeenTarget]
+) -> bool:
+    """Return whether a third camera tells that a camera of a pair that changed was not moved.
+
+    Against it the camera's mean pose is then about the same before the change as after it.
+    """
+    state = rig.view_ids.index(change.view)
+    place = int(np.flatnonzero(rig.state_index[camera] == state)[0])
+    for pair in pairs_with_one_target(rig, seen):
+        if camera not in pair or set(pair) == set(change.pair):
+            continue
+        states, in_first, in_second = states_in_common(rig, *pair, seen)
+        after = np.isin(states, rig.state_index[camera][place:])
+        if min(after.sum(), (~after).sum()) < ChangeOptions().min_views_on_a_side:
+            continue
+        relative = in_second @ np.linalg.inv(in_first)
+        means = [mean_matrix(relative[part], np.ones(part.sum())) for part in (~after, after)]
+        translation, rotation = misfits(np.linalg.inv(means[0]) @ means[1]).tolist()
+        size = rotation + translation / median_distance(in_first)
+        if size < 0.5 * change.report.changes[0].size:
+            return True
+    return False
 
 
 def _change(rig: Rig, pair: _Pair, seen: Mapping[str, SeenTarget]) -> MovedCamera | None:
     """Return the change of the second camera's poses against the first one's; None without one."""
-    states, in_first, in_second = states_in_common(rig, *pair, seen)
-    # In the order of the first camera's views; the rig lists last what its own first did not see.
-    order = np.argsort([list(rig.state_index[pair[0]]).index(state) for state in states])
-    used = np.ones(len(order), dtype=bool)
-    report = find_change(as_se3(in_first[order]), as_se3(in_second[order]), used)
+    states, in_first, in_second = _states_by_time(rig, pair, seen)
+    used = np.ones(len(states), dtype=bool)
+    report = find_change(as_se3(in_first), as_se3(in_second), used)
     if report is None or report.changes[0].score > MAX_LEFT_OVER * report.score:
         return None
-    view = rig.view_ids[states[order][report.changes[0].first_view]]
-    return MovedCamera(pair, pair, view, report)
+    return MovedCamera(pair, pair, rig.view_ids[states[report.changes[0].first_view]], report)
 
 
 def _suspects_by_robot(
@@ -119,7 +146,9 @@ def _suspects_by_robot(
     """Return which of two cameras was moved against the robot, or both if it does not tell."""
     state = rig.view_ids.index(view)
     evidence = [_evidence_by_robot(rig, name, seen[name], state) for name in pair]
-    if abs(evidence[0] - evidence[1]) < 2.0 * np.log(STRONG_EVIDENCE):
+    # A camera with fewer views has less evidence against it even where the robot tells nothing.
+    least = 2.0 * np.log(STRONG_EVIDENCE)
+    if max(evidence) < least or max(evidence) - min(evidence) < least:
         return pair
     return (pair[int(np.argmax(evidence))],)
 

@@ -1,8 +1,9 @@
-"""Find joints whose readings stay the same in successive views while other joints move.
+"""Find joints whose readings stay the same in successive views while most joints move.
 
 A driver that stops to publish one joint repeats its last value to the last digit. A joint that
 really stands still has such readings as well, so this is asked only where robot and camera do not
-move alike.
+move alike. Whoever jogs an arm moves few joints at a time: only views between which most of the
+joints moved count.
 """
 
 from collections.abc import Sequence
@@ -32,6 +33,7 @@ def stuck_joints(
     is_same = np.diff(readings[views], axis=0) == 0.0
     # Between two pictures from one pose no joint moved.
     moves = np.flatnonzero(~is_same.all(axis=1))
+    is_same &= 2 * is_same.sum(axis=1, keepdims=True) < readings.shape[1]
     texts = []
     for joint in range(readings.shape[1]):
         first, count = _longest_run(is_same[moves, joint])
@@ -42,7 +44,7 @@ def stuck_joints(
     if not texts:
         return ""
     return (
-        f"a reading stays the same to the last digit while other joints move: {', '.join(texts)}: "
+        f"a reading stays the same to the last digit while most joints move: {', '.join(texts)}: "
         "was it read anew for each view?"
     )
 

@@ -255,18 +255,19 @@ def host_rotations_between(
     start: Float[np.ndarray, "n 3"], end: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3 3"]:
     """Return the smallest rotations that take unit vectors to others; of opposite ones, any."""
-    # R = I + K + K^2 / (1 + cos), with K the cross-product matrix of start x end.
-    K = host_cross_matrices(np.cross(start, end))
-    cosine = np.sum(start * end, axis=1)[:, None, None]
-    rotations = np.eye(3) + K + K @ K / np.maximum(1.0 + cosine, 1e-12)
-    opposite = cosine[:, 0, 0] < 1e-12 - 1.0
+    # Half a turn about the start, which leaves it, and one about the axis half-way to the end.
+    middle = start + end
+    opposite = np.linalg.norm(middle, axis=1) < 1e-8
     if opposite.any():
-        # Half a turn about an axis p that is perpendicular to both: 2 p p^T - I.
         nearest = np.eye(3)[np.argmin(np.abs(start[opposite]), axis=1)]
-        p = np.cross(start[opposite], nearest)
-        p /= np.linalg.norm(p, axis=1, keepdims=True)
-        rotations[opposite] = 2.0 * p[:, :, None] * p[:, None, :] - np.eye(3)
-    return rotations
+        middle[opposite] = np.cross(start[opposite], nearest)
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    return _half_turns(middle) @ _half_turns(start)
+
+
+def _half_turns(axes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
+    """Return the rotations by half a turn about unit vectors."""
+    return 2.0 * axes[:, :, None] * axes[:, None, :] - np.eye(3)
 
 
 def host_adjoints(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6 6"]:

@@ -265,7 +265,7 @@ def named_as(true, text):
     name = same.get(axes, true) if moving else true if axes != "XYZ" else "fanuc_wpr"
     reverse = f"euler_{axes[::-1]}_{'fixed' if moving else 'moving'}"
     names = {name, reverse, same.get(axes[::-1], name) if not moving else name}
-    return any(f"{before}{one}" in text for one in names for before in _BEFORE_A_NAME)
+    return any(f"{before}{alias}" in text for alias in names for before in _BEFORE_A_NAME)
 
 
 @pytest.mark.parametrize(

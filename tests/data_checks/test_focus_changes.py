@@ -134,6 +134,32 @@ def test_the_likeliest_errors_are_those_that_scipy_finds():
     assert found.deviance == pytest.approx(expected.fun, abs=1e-4)
 
 
+def test_the_view_that_explains_most_is_found_as_by_trying_all():
+    rng = np.random.default_rng(0)
+    columns, vectors = rng.normal(size=(VIEWS, 3, 4)), rng.normal(size=(VIEWS, 3))
+    errors = _Positions.of(columns, rng.normal(size=(VIEWS, 3)), np.zeros((VIEWS, 3, 3)))
+    chosen = list[int]()
+    for _ in range(3):
+        given = errors.with_free_views(vectors, chosen)
+        sigmas = [errors.with_free_views(vectors, [*chosen, k]).sigma for k in range(VIEWS)]
+        view, left_over = given.most_explaining(vectors)
+        assert view == np.argmin(sigmas)
+        assert left_over == pytest.approx((sigmas[view] / given.sigma) ** 2)
+        chosen.append(view)
+
+
+def test_many_pictures_that_all_have_another_focal_length_are_not_tried_one_by_one(monkeypatch):
+    tried = []
+    of_views = _Positions.with_free_views
+    monkeypatch.setattr(
+        _Positions, "with_free_views", lambda *given: tried.append(given) or of_views(*given)
+    )
+    robot, camera = moving_alike(0, views=80)
+    changes = np.random.default_rng(0).normal(0.0, 0.006, len(robot))
+    assert found(robot, with_focal_lengths(camera, 1.0 + changes)).views == ()
+    assert len(tried) < 8
+
+
 def test_poses_without_noise_are_judged_as_well():
     assert found(*looking_down(0, lift=5e-3, noise=0.0), noise=1e-12) is None
 

@@ -18,10 +18,10 @@ KNOCK = host_exponentials(TWIST)
 TOP_FROM_LEFT = host_exponentials(np.array([0.02, 0.11, 0.01, 0.2, 0.03, 0.0]))
 
 
-def knocked(camera, seed=0, knock=KNOCK, third=False):
+def knocked(camera, seed=0, knock=KNOCK, third=False, states=STATES):
     """What cameras see, one of which is knocked between two states."""
     rng = np.random.default_rng(seed)
-    seen = seen_by_both(np.eye(4), rng, STATES)
+    seen = seen_by_both(np.eye(4), rng, states)
     if third:
         errors = host_exponentials(rng.normal(0.0, NOISE, (STATES, 6)))
         poses = errors @ TOP_FROM_LEFT @ seen["left"].camera_from_world
@@ -39,14 +39,14 @@ def three_cameras():
     return Rig({"left": left, "right": right, "top": top})
 
 
-def findings_of_robot(seen, noise):
+def findings_of_robot(seen, noise, states=STATES):
     """The findings with a robot that reports where the left camera was before it was knocked."""
     rng = np.random.default_rng(5)
-    true = knocked(None)["left"].camera_from_world
-    poses = np.linalg.inv(host_exponentials(rng.normal(0.0, noise, (STATES, 6))) @ true)
+    true = knocked(None, states=states)["left"].camera_from_world
+    poses = np.linalg.inv(host_exponentials(rng.normal(0.0, noise, (states, 6))) @ true)
     cameras = {
         name: Dataset.from_arrays(POINTS, data.pixels, poses, (640, 480))
-        for name, data in rig_of((1, 2)).cameras.items()
+        for name, data in rig_of((1, 2), states).cameras.items()
     }
     return target_findings(Rig(cameras), seen)
 
@@ -68,6 +68,40 @@ def test_a_robot_tells_which_camera_was_knocked_if_it_is_good_enough(camera):
     assert f"as if camera '{camera}' had been moved" in text
     (text,) = findings_of_robot(seen, 30.0 * NOISE).doubts
     assert "as if camera 'left' or 'right' had been moved" in text
+
+
+def seen_at_times(seen, **views):
+    """What cameras see, some of them in fewer views."""
+    return seen | {
+        name: SeenTarget(np.array(some), seen[name].camera_from_world[some], np.eye(4))
+        for name, some in views.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("states", "noise"), [([*range(7)], 0.0), ([0, 1, 2, 3, 7, 8, 9, 10], 2.0)]
+)
+def test_a_third_camera_that_cannot_tell_clears_no_other(states, noise):
+    """It saw one of the cameras before the change alone, or less exactly than that is large."""
+    seen = seen_at_times(knocked("right", third=True), left=[*range(3, STATES)])
+    errors = noise * np.random.default_rng(1).normal(0.0, 100.0 * NOISE, (STATES, 6))
+    seen["top"].camera_from_world[:] = host_exponentials(errors) @ seen["top"].camera_from_world
+    (text,) = target_findings(three_cameras(), seen_at_times(seen, top=states)).doubts
+    assert "as if camera 'left' or 'right' had been moved" in text
+
+
+def test_a_weak_robot_blames_no_camera_because_it_has_few_views():
+    seen = seen_at_times(knocked("left", states=48), left=[0, 2, 4, 6, 7, 15, 23, 31, 39, 47])
+    (text,) = findings_of_robot(seen, 20.0 * NOISE, states=48).doubts
+    assert "as if camera 'left' or 'right' had been moved" in text
+
+
+def test_a_zoom_of_one_of_two_cameras_that_none_tells_apart_is_of_its_lens():
+    for camera in ("left", "right"):
+        seen = knocked(None)
+        seen[camera].camera_from_world[FIRST_CHANGED:, 2, 3] /= 1.05
+        (text,) = findings_of_robot(seen, 300.0 * NOISE).doubts
+        assert f"the lens of camera '{camera}' had zoomed by +" in text
 
 
 def test_a_zoom_is_of_the_lens_that_zoomed():

@@ -145,6 +145,12 @@ def test_the_smallest_rotation_between_directions_is_scipys_also_of_opposite_one
     for end, rotation in zip(ends, host_rotations_between(starts, ends), strict=True):
         expected = Rotation.align_vectors(end[None], starts[:1])[0].as_matrix()
         np.testing.assert_allclose(rotation, expected, atol=1e-7)
+    # Of nearly opposite ones rounding turns the axis, but leaves a rotation.
+    off = np.array([1e-7, 3e-6, 1e-4])
+    nearly = np.stack([np.zeros(3), np.sin(off), -np.cos(off)], axis=1)
+    for end, turned in zip(nearly, host_rotations_between(starts[:3], nearly), strict=True):
+        np.testing.assert_allclose(turned @ starts[0], end, atol=1e-8)
+        np.testing.assert_allclose(turned @ turned.T, np.eye(3), atol=1e-12)
     for start in np.concatenate([ends[:3], np.eye(3)]):
         (turned,) = host_rotations_between(start[None], -start[None])
         np.testing.assert_allclose(turned @ start, -start, atol=1e-12)
