@@ -50,13 +50,13 @@ def host_rotation_vectors(
     """Return the rotation vectors of rotations or of rigid 4x4 matrices, rad.
 
     Raises:
-        ValueError: a matrix that is not finite, or no rotation.
+        ValueError: a matrix that is not finite, mirrored or singular.
     """
     rotations = matrices[..., :3, :3].reshape(-1, 3, 3)
-    with np.errstate(invalid="ignore"):
-        are_rotations = np.linalg.det(rotations) > 0.0
-    if not are_rotations.all():
-        raise ValueError("expected rotations, found a matrix that is mirrored or not finite")
+    if not np.isfinite(rotations).all() or not (np.linalg.det(rotations) > 0.0).all():
+        raise ValueError(
+            "expected rotations, found a matrix that is mirrored, singular or not finite"
+        )
     return _rotation_vectors(rotations).reshape(*matrices.shape[:-2], 3)
 
 
@@ -254,12 +254,17 @@ _CROSS_ENTRIES = [7, 2, 3], [5, 6, 1]
 def host_rotations_between(
     start: Float[np.ndarray, "n 3"], end: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3 3"]:
-    """Return the smallest rotations that take unit vectors to others; of opposite ones, any."""
-    # R = I + K + K^2 / (1 + cos), with K the cross-product matrix of start x end.
+    """Return the smallest rotations that take unit vectors to others.
+
+    Any half turn does so for vectors that are opposite to within 1e-8 rad.
+    """
+    # R = I + K + K^2 / (1 + cos), with K the cross-product matrix of start x end. For nearly
+    # opposite vectors 1 + cos has no digits left, but |start + end|^2 / 2, which is equal, has.
     K = host_cross_matrices(np.cross(start, end))
-    cosine = np.sum(start * end, axis=1)[:, None, None]
-    rotations = np.eye(3) + K + K @ K / np.maximum(1.0 + cosine, 1e-12)
-    opposite = cosine[:, 0, 0] < 1e-12 - 1.0
+    squared_sum = np.sum((start + end) ** 2, axis=1)
+    opposite = squared_sum < 1e-16
+    divisor = np.where(opposite, 1.0, 0.5 * squared_sum)[:, None, None]
+    rotations = np.eye(3) + K + K @ K / divisor
     if opposite.any():
         # Half a turn about an axis p that is perpendicular to both: 2 p p^T - I.
         nearest = np.eye(3)[np.argmin(np.abs(start[opposite]), axis=1)]
