@@ -54,6 +54,7 @@ class CapturePage:
             max_views: largest number of views of an automatic run.
         """
         self._session, self._max_views = session, max_views
+        session.listener = self.note
         self._closing = threading.Event()
         self._watched = 0.0
         self._lines: list[str] = []
@@ -79,9 +80,7 @@ class CapturePage:
                 thread.join()
 
     def note(self, text: str) -> None:
-        """Add a line to the log on the page, unless the last line says so already."""
-        if self._lines and text in self._lines[-1]:
-            return
+        """Add a line to the log on the page."""
         self._lines = [*self._lines[1 - MAX_LINES :], f"{time.strftime('%H:%M:%S')} {text}"]
 
     def status(self) -> dict[str, Any]:
@@ -180,9 +179,11 @@ class CapturePage:
             return self._answer(True, "stopped")
         with self._turn:
             try:
-                return self._answer(True, self._done(command, message))
+                text = self._done(command, message)
             except (NotTakenError, MoveRefusedError, OSError, ValueError) as error:
                 return self._answer(False, str(error))
+        # The session itself notes a view that it took.
+        return {"ok": True, "text": text} if command == "take" else self._answer(True, text)
 
     def stop(self) -> None:
         """Stop the robot and an automatic run."""
@@ -338,5 +339,4 @@ def serve_capture(
         OSError: the port is in use.
     """
     with CapturePage(session, max_views) as page:
-        session.listener = page.note
         serve_page(lambda token, bound: capture_app(page, token, bound), port, announce)

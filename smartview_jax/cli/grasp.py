@@ -11,7 +11,7 @@ import smartview_jax as sv
 
 from . import options
 from .options import with_option_groups
-from .robot_commands import CommandSheet, RobotOptions, reading_programs_of_errors
+from .robot_commands import CommandSheet, RobotOptions
 from .terminal import errors_reported, print_lines
 
 COMMAND_NAMES = ("approach", "grasp")
@@ -101,13 +101,14 @@ def grasp(
         loaded_calibration, estimate = sv.joint.load_with_uncertainty(calibration)
         world_from_gripper = _pose("--object-pose", object_pose) @ chosen.object_from_gripper()
         arm, readings = robot.arm_and_readings(loaded_calibration)
-        # H_Base^World is applied by the calibration; here is the rest of Eq. 20.
-        tool_from_gripper = _pose("--gripper", chosen.gripper)
-        poses = _with_approach(world_from_gripper, 1e-3 * approach, tool_from_gripper)
-        with reading_programs_of_errors(loaded_calibration, estimate, len(poses), readings):
-            tool = sv.tool_commands(
-                loaded_calibration, poses, estimate=estimate, arm=arm, near=readings
-            )
+        tool = sv.tool_commands(
+            loaded_calibration,
+            # H_Base^World is applied by the calibration; here is the rest of Eq. 20.
+            _with_approach(world_from_gripper, 1e-3 * approach, _pose("--gripper", chosen.gripper)),
+            estimate=estimate,
+            arm=arm,
+            near=readings,
+        )
         sheet = CommandSheet(
             robot, loaded_calibration, COMMAND_NAMES, tool.commands, arm, sv.grasping.TOOL_CHECKS
         )

@@ -20,7 +20,7 @@ from .options import parse_numbers, with_option_groups
 from .plan_rig import is_rig_plan, plan_rig
 from .plan_words import give_no_commands, new_names, plan_entries, plan_words
 from .robot_commands import CommandSheet, RobotOptions
-from .terminal import errors_reported, progress_line
+from .terminal import errors_reported, print_lines, progress_line
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ def plan(
             robot, situation.calibration, names, commands, arm, sv.viewpoints.SAFETY_CHECKS
         )
         # After the table, where the result is seen last.
-        say = partial(typer.echo, "\n".join(words))
+        say = partial(print_lines, *words)
         sheet.give("plan", json, say, **plan_entries(view_plan), words=words)
 
 

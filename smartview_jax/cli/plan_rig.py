@@ -4,13 +4,11 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-import typer
-
 import smartview_jax as sv
 
 from .plan_words import give_no_commands, new_names, plan_entries, plan_words
 from .robot_commands import CommandSheet, RobotOptions
-from .terminal import progress_line
+from .terminal import print_lines, progress_line
 
 
 def is_rig_plan(paths: Sequence[Path], first: bool) -> bool:
@@ -83,7 +81,7 @@ def plan_rig(
     sheet = CommandSheet(
         robot, calibration, names, state_plan.commands, arm, sv.viewpoints.SAFETY_CHECKS
     )
-    say = partial(typer.echo, "\n".join([*views, *words]))
+    say = partial(print_lines, *views, *words)
     entries = {**plan_entries(plan), "words": words, "seen": state_plan.seen}
     if names:
         sheet.give("plan", json, say, **entries)

@@ -1,8 +1,6 @@
 """Print, check and write the robot's commands, for all subcommands that compute commands."""
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -169,33 +167,6 @@ class CommandSheet(NamedTuple):
     def _named(self, texts: Sequence[str]) -> list[str]:
         """Return the texts that are not empty, each with its command's name."""
         return [f"{name}: {text}" for name, text in zip(self.names, texts, strict=True) if text]
-
-
-@contextmanager
-def reading_programs_of_errors(
-    calibration: "sv.Calibration",
-    estimate: "sv.joint.SavedEstimate | None",
-    count: int,
-    readings: np.ndarray | None,
-) -> Iterator[None]:
-    """Read the programs of the commands' errors in a second thread while commands are computed.
-
-    Args:
-        calibration: of the commands.
-        estimate: the calibration with its covariance; None where the errors are not computed.
-        count: number of commands.
-        readings: joint readings now; None without an arm.
-    """
-    if estimate is None:
-        yield
-        return
-    # The end of the block waits for it, and ignores its errors: the errors' own computation
-    # raises the same.
-    with ThreadPoolExecutor(1) as background:
-        background.submit(
-            sv.grasping.read_programs_of_errors, calibration, estimate, count, readings
-        )
-        yield
 
 
 def numbered_names(count: int) -> tuple[str, ...]:

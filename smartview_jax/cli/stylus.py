@@ -15,7 +15,7 @@ import smartview_jax as sv
 from ..files import read_yaml
 from . import options
 from .options import parse_numbers, with_option_groups
-from .robot_commands import CommandSheet, RobotOptions, numbered_names, reading_programs_of_errors
+from .robot_commands import CommandSheet, RobotOptions, numbered_names
 from .terminal import errors_reported, print_lines
 from .viewpoint import LookOptions, requested_camera_poses
 
@@ -125,14 +125,13 @@ def stylus(
         poses = np.concatenate(
             [_touching_poses(loaded_calibration, tip_position, point, touch) for point in points]
         )
-        with reading_programs_of_errors(loaded_calibration, estimate, len(poses), readings):
-            touches = sv.tool_commands(
-                loaded_calibration,
-                poses,
-                estimate=estimate,
-                arm=arm,
-                near=readings,
-            )
+        touches = sv.tool_commands(
+            loaded_calibration,
+            poses,
+            estimate=estimate,
+            arm=arm,
+            near=readings,
+        )
         names = numbered_names(len(poses))
         notes: list[str] = []
         measured = missed.misses and sv.io.read_misses(missed.misses, names, notes.append)

@@ -11,7 +11,7 @@ import smartview_jax as sv
 
 from . import options
 from .options import parse_numbers, with_option_groups
-from .robot_commands import CommandSheet, RobotOptions, numbered_names, reading_programs_of_errors
+from .robot_commands import CommandSheet, RobotOptions, numbered_names
 from .terminal import errors_reported, print_lines
 
 if TYPE_CHECKING:
@@ -68,15 +68,13 @@ def viewpoint(
         point = np.array(parse_numbers("--at", at, 3, "x,y,z (m)"))
         camera_from_world = requested_camera_poses(loaded_calibration, point, look)
         arm, readings = robot.arm_and_readings(loaded_calibration)
-        count = len(camera_from_world.wxyz_xyz)
-        with reading_programs_of_errors(loaded_calibration, estimate, count, readings):
-            commands = sv.viewpoint_commands(
-                loaded_calibration,
-                camera_from_world,
-                point[None],
-                arm,
-                readings,
-            )
+        commands = sv.viewpoint_commands(
+            loaded_calibration,
+            camera_from_world,
+            point[None],
+            arm,
+            readings,
+        )
         names = numbered_names(len(commands.xyzoat))
         sheet = CommandSheet(
             robot, loaded_calibration, names, commands, arm, sv.viewpoints.SAFETY_CHECKS

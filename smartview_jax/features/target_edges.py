@@ -66,7 +66,7 @@ def target_edge_width(grey: np.ndarray, pixels: Float[np.ndarray, "points 2"]) -
         near = np.flatnonzero(tree.query(points.pixels + first)[0] <= reach)
     if len(near) < MIN_MEASURED:
         return None
-    near = near[:: max(1, len(near) // MAX_MEASURED)]
+    near = near[:: -(-len(near) // MAX_MEASURED)]
     widths = _widths(gradient, EdgePoints(*(x[near] for x in points)), reach)
     widths = widths[np.isfinite(widths)]
     if len(widths) < MIN_MEASURED:

@@ -50,13 +50,13 @@ def host_rotation_vectors(
     """Return the rotation vectors of rotations or of rigid 4x4 matrices, rad.
 
     Raises:
-        ValueError: a matrix that is not finite, or no rotation.
+        ValueError: a matrix that is not finite, mirrored or singular.
     """
     rotations = matrices[..., :3, :3].reshape(-1, 3, 3)
-    with np.errstate(invalid="ignore"):
-        are_rotations = np.linalg.det(rotations) > 0.0
-    if not are_rotations.all():
-        raise ValueError("expected rotations, found a matrix that is mirrored or not finite")
+    if not np.isfinite(rotations).all() or not (np.linalg.det(rotations) > 0.0).all():
+        raise ValueError(
+            "expected rotations, found a matrix that is mirrored, singular or not finite"
+        )
     return _rotation_vectors(rotations).reshape(*matrices.shape[:-2], 3)
 
 

@@ -1,7 +1,7 @@
 """Read and write poses as rows of numbers in named formats of robots and files.
 
 A codec converts rows to transforms and back. Units are stated by the caller, never guessed. Rows
-are read with SciPy, so that reading a file compiles no JAX program.
+are read with NumPy, so that reading a file compiles no JAX program.
 
 The formats, and the units that the vendors' own programs use, are
 

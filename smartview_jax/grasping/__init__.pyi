@@ -1,5 +1,4 @@
 from .camera_errors import camera_covariance as camera_covariance
-from .camera_errors import read_programs_of_errors as read_programs_of_errors
 from .candidates import suggested_grasps as suggested_grasps
 from .contradicted_touches import SURPRISING_P_VALUE as SURPRISING_P_VALUE
 from .contradicted_touches import causes_of_misses as causes_of_misses

@@ -9,7 +9,7 @@ from ..argument_checks import listed
 from ..calibration import Calibration
 from ..engine import ROBOT_ERROR, covariance_factor, parameter_names
 from ..evaluation import CalibrationEstimate
-from ..geometry import host_matrices, host_transforms
+from ..geometry import host_matrices
 from ..modeling import CalibrationUncertainty, RigViews, SeenViews
 from ..robots import Command
 
@@ -37,30 +37,6 @@ def camera_covariance(
     errors = camera_errors(calibration, estimate, command)
     factor = np.concatenate([errors.shared @ errors.root, errors.unknown, errors.by_noise], axis=2)
     return factor @ factor.swapaxes(1, 2)
-
-
-def read_programs_of_errors(
-    calibration: Calibration,
-    estimate: CalibrationEstimate,
-    count: int,
-    joints: Float[np.ndarray, "joints"] | None = None,
-) -> None:
-    """Read or compile the programs of `camera_covariance`, without any command yet.
-
-    A second thread may do so while the commands are computed: reading a program does not hold
-    Python's interpreter lock.
-
-    Args:
-        calibration, estimate: as for `camera_covariance`.
-        count: number of commands.
-        joints: joint readings like the commands'; None where they have none.
-
-    Raises:
-        ValueError: as in `camera_covariance`.
-    """
-    poses = host_transforms(np.tile(np.eye(4), (count, 1, 1)))
-    readings = None if joints is None else np.broadcast_to(joints, (count, len(joints)))
-    camera_errors(calibration, estimate, Command(poses, readings))  # pyright: ignore[reportArgumentType]
 
 
 class CameraErrors(NamedTuple):

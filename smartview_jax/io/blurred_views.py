@@ -41,7 +41,7 @@ def blur_notes(detections: Mapping[str, Detection]) -> tuple[str, ...]:
     if usual > MAX_WIDTH:
         scatters = [detections[view].noise for view in found if detections[view].noise > 0.0]
         scatter = (
-            f", and its points scatter by {np.median(scatters):.2g} px (0.05 to 0.2 px)"
+            f", and its points scatter by {np.median(scatters):.2g} px (there 0.05 to 0.2 px)"
             if scatters
             else ""
         )

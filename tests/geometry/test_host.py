@@ -50,9 +50,17 @@ def test_rotation_vectors_are_scipys_up_to_half_a_turn():
     np.testing.assert_allclose(np.abs(half), np.abs(np.pi * axes), atol=1e-7)
 
 
-@pytest.mark.parametrize("wrong", [np.diag([1.0, 1.0, -1.0]), np.full((3, 3), np.nan)])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        np.diag([1.0, 1.0, -1.0]),
+        np.diag([1.0, 1.0, np.inf]),
+        np.full((3, 3), np.nan),
+        np.zeros((3, 3)),
+    ],
+)
 def test_what_is_no_rotation_has_no_rotation_vector(wrong):
-    with pytest.raises(ValueError, match="mirrored or not finite"):
+    with pytest.raises(ValueError, match="mirrored, singular or not finite"):
         host_rotation_vectors(np.stack([np.eye(3), wrong]))
 
 
@@ -152,7 +160,11 @@ def test_the_smallest_rotation_between_directions_is_scipys_also_of_opposite_one
         np.testing.assert_allclose(turned @ starts[0], end, atol=1e-8)
         np.testing.assert_allclose(turned @ turned.T, np.eye(3), atol=1e-12)
     for start in np.concatenate([ends[:3], np.eye(3)]):
-        (turned,) = host_rotations_between(start[None], -start[None])
-        np.testing.assert_allclose(turned @ start, -start, atol=1e-12)
-        np.testing.assert_allclose(turned @ turned.T, np.eye(3), atol=1e-12)
-        assert np.linalg.det(turned) == pytest.approx(1.0)
+        across = np.cross(start, [0.6, 0.0, 0.8])
+        for angle in (0.0, 1e-9, 3e-6, 1e-4):
+            end = angle * across - start
+            end /= np.linalg.norm(end)
+            (turned,) = host_rotations_between(start[None], end[None])
+            np.testing.assert_allclose(turned @ start, end, atol=3e-8)
+            np.testing.assert_allclose(turned @ turned.T, np.eye(3), atol=3e-8)
+            assert np.linalg.det(turned) == pytest.approx(1.0)
