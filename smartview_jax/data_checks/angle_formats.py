@@ -10,13 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..geometry import EULER_CONVENTIONS
-
-_VAL_M0 = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
-"""The matrix M0 of VAL's angles, `R = Rz(O) Rx(A) M0 Rz(T)` (Eq. 18).
-
-Since `M0 Rz(T) = Ry(-T) M0`, also `R M0^T = Rz(O) Rx(A) Ry(-T)`: Euler angles with one sign
-reversed."""
+from ..geometry import EULER_CONVENTIONS, VAL_M0
 
 
 class RotationFormat(NamedTuple):
@@ -52,7 +46,11 @@ def _euler_format(name: str, description: str, convention: str) -> RotationForma
 
 
 _VAL_ANGLE_SIGNS = np.array([1.0, 1.0, -1.0])
-"""Signs of O, A, T in the Euler angles of `R M0^T` (see `_VAL_M0`)."""
+"""Signs of O, A, T in the Euler angles of `R M0^T`, with `R = Rz(O) Rx(A) M0 Rz(T)` (Eq. 18).
+
+Since `M0 Rz(T) = Ry(-T) M0`, also `R M0^T = Rz(O) Rx(A) Ry(-T)`: Euler angles with one sign
+reversed.
+"""
 
 _ZXY = EULER_CONVENTIONS["euler_ZXY_moving"]
 
@@ -69,8 +67,8 @@ FORMATS = (
     RotationFormat(
         "val_oat",
         "val_oat",
-        lambda r: _VAL_ANGLE_SIGNS * _ZXY.from_rotation(r * Rotation.from_matrix(_VAL_M0.T)),
-        lambda x: _ZXY.to_rotation(_VAL_ANGLE_SIGNS * x) * Rotation.from_matrix(_VAL_M0),
+        lambda r: _VAL_ANGLE_SIGNS * _ZXY.from_rotation(r * Rotation.from_matrix(VAL_M0.T)),
+        lambda x: _ZXY.to_rotation(_VAL_ANGLE_SIGNS * x) * Rotation.from_matrix(VAL_M0),
         (-0.5 * np.pi, 0.5 * np.pi),
     ),
     RotationFormat("ur", "ur (rotation_vector)", Rotation.as_rotvec, Rotation.from_rotvec, None),

@@ -290,7 +290,7 @@ class _Positions(NamedTuple):
     def with_free_views(
         self, vectors: Float[np.ndarray, "views 3"], free: list[int]
     ) -> "_Positions":
-        """Return positions of which some also move along their vectors, each by another number."""
+        """Return the positions if some views move along their vectors, each by its own number."""
         columns = np.zeros((len(vectors), 3, len(free)))
         columns[free, :, np.arange(len(free))] = vectors[free]
         columns = np.concatenate([self.columns, columns], axis=2)

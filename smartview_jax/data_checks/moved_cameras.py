@@ -77,7 +77,7 @@ def find_moved_cameras(rig: Rig, seen: Mapping[str, SeenTarget]) -> tuple[MovedC
     """
     moved: dict[tuple[str, ...], MovedCamera] = {}
     for pair in pairs_with_one_target(rig, seen):
-        # Of the lenses, only that of the second camera is asked whether it zoomed.
+        # A zoom is tested for the lens of the second camera alone.
         both = [_change(rig, order, seen) for order in ((pair[1], pair[0]), pair)]
         changes = [change for change in both if change is not None]
         if not changes:

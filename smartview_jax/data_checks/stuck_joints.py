@@ -45,7 +45,7 @@ def stuck_joints(
         return ""
     return (
         f"a reading stays the same to the last digit while most joints move: {', '.join(texts)}: "
-        "was it read anew for each view?"
+        "was it read again for each view?"
     )
 
 

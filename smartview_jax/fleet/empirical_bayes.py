@@ -181,8 +181,9 @@ def _likeliest_type(
             priors[model] = estimate if k == 0 else _halfway(priors[model], estimate)
             # At first, deviations contain the errors in common. Unless the sizes are limited, the
             # deviations explain these errors, which are then never found.
-            largest = None if k > 0 else general
-            common[model] = _common_errors(evidence, model, sizes[model], members, general, largest)
+            common[model] = _common_errors(
+                evidence, model, sizes[model], members, general, limits_sizes=k == 0
+            )
         if k > 0 and _relative_change(last, priors[best]) < SIZE_TOLERANCE:
             break
     return _with_other_groups(priors, best, evidence[0]), common[best], best, members
@@ -298,7 +299,7 @@ def _common_errors(
     sizes: Sequence[SizesOfErrors],
     members: Float[np.ndarray, "robots"],
     general: RobotPrior,
-    largest: RobotPrior | None = None,
+    limits_sizes: bool = False,
 ) -> CommonErrorsOfType | None:
     """Return the errors that robots have in common; None if these are not of one nominal arm.
 
@@ -308,7 +309,7 @@ def _common_errors(
         sizes: each robot's sizes of errors in this model.
         members: weight of each robot.
         general: prior for any robot.
-        largest: prior whose medians limit the sizes of what robots deviate; None for no limit.
+        limits_sizes: whether deviations of single robots count at most as any robot's median.
     """
     fields = [robot.arm_errors for robot in evidence]
     arms = {None if field is None else arm_parameters(field.arm) for field in fields}
@@ -320,8 +321,8 @@ def _common_errors(
         for robot, entry in zip(evidence, sizes, strict=True)
         if entry.sigmas is not None
     ]
-    if largest is not None:
-        medians = largest.medians(field)[2:] ** 2
+    if limits_sizes:
+        medians = general.medians(field)[2:] ** 2
         limits = np.repeat(medians, [size for _, size in field.groups])
         robots = [robot._replace(variance=np.minimum(robot.variance, limits)) for robot in robots]
     return CommonErrorsOfType.of(field, robots, members, general)

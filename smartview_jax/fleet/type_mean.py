@@ -1,13 +1,13 @@
-"""Estimate the errors that all robots of one type have in common, such as those of its drawings.
+"""Estimate the errors that all robots of one type have in common, as where its drawings are wrong.
 
 The coefficients c of robot i (zeros, link lengths, twists) are Gaussian about the type's mean m:
 
     c_i ~ N(m, V_i),  m ~ N(0, T)
 
-with V_i the variances of what single robots deviate, and T one variance of the mean for each group
-of coefficients, by maximum likelihood with c and m integrated out. A group whose mean the robots do
-not show gets a T of zero, and directions that no robot's views determine keep mean zero and
-covariance T, so that the mean is believed as far as the fits tell.
+with V_i the variances of the deviations of single robots, and T one variance of the mean for each
+group of coefficients, by maximum likelihood with c and m integrated out. A group whose mean the
+robots do not show gets a T of zero, and directions that no robot's views determine keep mean zero
+and covariance T, so that the mean is believed as far as the fits tell.
 
 Reference: Efron and Morris, Stein's estimation rule and its competitors: an empirical Bayes
 approach, 1973.

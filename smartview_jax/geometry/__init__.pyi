@@ -31,6 +31,7 @@ from .matrices import pose_matrices as pose_matrices
 from .matrices import quaternion_product as quaternion_product
 from .matrices import shift_matrices as shift_matrices
 from .matrices import transforms_of as transforms_of
+from .oat import VAL_M0 as VAL_M0
 from .oat import oat_from_rotation as oat_from_rotation
 from .oat import rotation_from_oat as rotation_from_oat
 from .oat import se3_from_xyzoat as se3_from_xyzoat

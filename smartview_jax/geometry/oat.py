@@ -26,7 +26,8 @@ from .euler import GIMBAL_LOCK_TOLERANCE
 from .host import host_matrices
 from .rigid_transforms import PoseLike, as_se3
 
-_M0 = ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))
+VAL_M0 = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+"""The matrix M0 of VAL's angles (Eq. 18)."""
 
 
 @one_program
@@ -34,7 +35,7 @@ def rotation_from_oat(oat: Float[Array, "*batch 3"]) -> SO3:
     """Return the rotation of the angles O, A, T in rad (Eq. 18)."""
     # R = Rz(O) M0 Ry(A) Rz(T)
     O, A, T = oat[..., 0], oat[..., 1], oat[..., 2]
-    M0 = SO3.from_matrix(jnp.broadcast_to(jnp.array(_M0), (*O.shape, 3, 3)))
+    M0 = SO3.from_matrix(jnp.broadcast_to(jnp.array(VAL_M0), (*O.shape, 3, 3)))
     return SO3.from_z_radians(O) @ M0 @ SO3.from_y_radians(A) @ SO3.from_z_radians(T)
 
 

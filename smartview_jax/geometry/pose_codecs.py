@@ -47,7 +47,7 @@ from ..runtime.array_namespace import to_device
 from ..runtime.compilation import one_program
 from .euler import EULER_CONVENTIONS, axis_rotations
 from .host import host_exponentials, host_matrices, host_poses, host_transforms
-from .oat import oat_from_rotation
+from .oat import VAL_M0, oat_from_rotation
 from .rigid_transforms import check_rigid
 
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -303,7 +303,7 @@ def _from_oat(oat: np.ndarray) -> np.ndarray:
     """Return the matrices of VAL's angles O, A, T in rad (Eq. 18)."""
     # R = Rz(O) Rx(A) M0 Rz(T)
     O, A, T = (axis_rotations(axis, oat[:, k]) for k, axis in enumerate("ZXZ"))
-    return O @ A @ np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]]) @ T
+    return O @ A @ VAL_M0 @ T
 
 
 _rotation_vector = one_program(SO3.log)

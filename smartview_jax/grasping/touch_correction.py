@@ -17,7 +17,7 @@ from ..joint import SavedEstimate
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import one_program
 from .contradicted_touches import causes_of_misses
-from .stylus_touches import compare_misses, measured_error_factor, tip_error_factor
+from .stylus_touches import compare_misses, measured_error_factor
 from .tool_commands import ToolCommands
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def correct_by_touches(
         ...     fit.joint, touches, tip, misses, measurement_std=5e-5
         ... )
     """
-    factor = tip_error_factor(touches, tip)
+    factor = measured_error_factor(touches, tip, measurement_std, tip_std)
     if factor is None or touches.parameter_factor is None:
         raise ValueError(
             "touches: the calibration was taken as exact; make them by tool_commands(..., "
@@ -83,15 +83,13 @@ def correct_by_touches(
             "expected a positive measurement_std and a tip_std of at least 0, found "
             f"{measurement_std} and {tip_std}"
         )
-    measured = measured_error_factor(touches, tip, measurement_std, tip_std)
-    assert measured is not None
-    if compare_misses(measured, misses).p_value < MIN_CHANCE:
+    if compare_misses(factor, misses).p_value < MIN_CHANCE:
         raise ValueError(
             "misses: larger than the calibration, the tip and the measurement allow: "
-            f"{causes_of_misses(measured, misses)}"
+            f"{causes_of_misses(factor, misses)}"
         )
     # Without the last part, the errors of measuring, which are sigma in each component.
-    by_errors = measured[:, :size, : -3 * count].reshape(count * size, -1)
+    by_errors = factor[:, :size, : -3 * count].reshape(count * size, -1)
     # With independent errors e of unit variance and misses m = F e + noise, the errors' mean is
     # F^T S^-1 m and their covariance I - F^T S^-1 F, with S = F F^T + sigma^2 I.
     S = by_errors @ by_errors.T + measurement_std**2 * np.eye(count * size)

@@ -30,10 +30,9 @@ def blur_notes(detections: Mapping[str, Detection]) -> tuple[str, ...]:
     Args:
         detections: of the views by their names; those without a width are left out.
     """
-    measured = {view: d for view, d in detections.items() if d.edge_width is not None}
-    widths = {view: float(d.edge_width or 0.0) for view, d in measured.items()}
+    widths = {view: d.edge_width for view, d in detections.items() if d.edge_width is not None}
     # Pictures in which the target was not found may show anything.
-    found = [view for view, detection in measured.items() if detection.visible.any()]
+    found = [view for view in widths if detections[view].visible.any()]
     if not found:
         return ()
     usual = float(np.median([widths[view] for view in found]))

@@ -18,7 +18,7 @@ def in_named_parameters(
     """Return the covariance of translations and rotations from the one of left twists.
 
     Args:
-        covariance: of left twists of both transforms, and of what else is unknown.
+        covariance: of left twists of both transforms, and of any other unknowns.
         camera_from_mount, holder_from_world: the transforms.
     """
     by_name = np.eye(len(covariance))

@@ -4,6 +4,7 @@ from collections.abc import Collection
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from ..calibration import SHAPE_NAMES, Calibration
 from ..engine import DEPTH_BIAS_NAMES, ROBOT_ERROR
@@ -55,19 +56,36 @@ def parameter_estimates(fit: "JointFit") -> tuple[ParameterEstimate, ...]:
 def whole_error_stds(fit: "JointFit") -> dict[str, float]:
     """Return the standard deviations of an arm's errors about zero, if it was fitted about a type.
 
-    Those in `JointFit.std` are of what the arm deviates from the errors that its type has in
-    common. Empty for a fit without such errors.
+    `JointFit.std` has the deviations from the errors that the type has in common. Empty for a fit
+    without such errors.
+    """
+    if not isinstance(fit.calibration.field, ErrorsOfType):
+        return {}
+    names, by_parameters = whole_errors_by_parameters(fit)
+    covariance = by_parameters @ np.asarray(fit.covariance) @ by_parameters.T
+    paths = [f"{ROBOT_ERROR}.{name}" for name in names]
+    stds = np.sqrt(np.diagonal(covariance))
+    return {path: float(std) for path, std in zip(paths, stds, strict=True) if path in fit.std}
+
+
+def whole_errors_by_parameters(
+    fit: "JointFit",
+) -> tuple[tuple[str, ...], Float[np.ndarray, "errors parameters"]]:
+    """Return the names of the robot's errors, and their derivatives by the fit's parameters.
+
+    The whole errors of an arm depend on its deviations and on the errors that its type has in
+    common.
     """
     field = fit.calibration.field
-    if not isinstance(field, ErrorsOfType):
-        return {}
-    names = [f"{ROBOT_ERROR}.{name}" for name in field.names]
-    fitted = [k for k, name in enumerate(names) if name in fit.parameter_names]
-    rows = [fit.parameter_names.index(names[k]) for k in fitted]
-    by_fitted = field.by_coefficients[:, fitted]
-    covariance = by_fitted @ np.asarray(fit.covariance)[np.ix_(rows, rows)] @ by_fitted.T
-    stds = np.sqrt(np.diagonal(covariance))
-    return {name: float(std) for name, std in zip(names, stds, strict=False) if name in fit.std}
+    assert field is not None
+    of_type = isinstance(field, ErrorsOfType)
+    by_coefficients = field.by_coefficients if of_type else np.eye(field.size)
+    fitted = {name: k for k, name in enumerate(fit.parameter_names)}
+    result = np.zeros((len(by_coefficients), len(fitted)))
+    for column, name in enumerate(field.names):
+        if f"{ROBOT_ERROR}.{name}" in fitted:
+            result[:, fitted[f"{ROBOT_ERROR}.{name}"]] = by_coefficients[:, column]
+    return field.errors.names if of_type else field.names, result
 
 
 def displayed_values(calibration: Calibration) -> dict[str, tuple[float, str]]:

@@ -20,13 +20,14 @@ from ..dataset import (
     distinct_poses,
     repetition_warnings,
 )
-from ..engine import ROBOT_ERROR, TARGET_SCALE, Direction, step_names
+from ..engine import TARGET_SCALE, Direction, step_names
 from ..geometry import host_matrices, vector_text
-from ..robot_errors import ErrorsOfType, nominal_arm
+from ..robot_errors import nominal_arm
 from ..variance import MIN_SHAPE_SIGMAS, TargetScaleEvidence
 from .bending import bending_warnings
 from .camera_like_errors import camera_like_errors
 from .joint_fit import JointFit, half_width
+from .parameter_estimates import whole_errors_by_parameters
 
 MAX_CORRECTION_TRANSLATION, MAX_CORRECTION_ROTATION = 5e-3, float(np.deg2rad(1.5))
 """The largest plausible smooth correction of a reported pose, m and rad."""
@@ -468,20 +469,7 @@ def _half_widths_with_last_joint_held(fit: JointFit) -> dict[str, float]:
 
 
 def _errors_of_joint(fit: JointFit, joint: str) -> Float[np.ndarray, "errors parameters"]:
-    """Return the derivatives of the fitted errors of a joint by the fit's parameters.
-
-    Of an arm whose type has common errors these are part of the joint's errors.
-    """
-    field = fit.calibration.field
-    assert field is not None
-    of_type = isinstance(field, ErrorsOfType)
-    errors = field.errors if of_type else field
-    by_coefficients = field.by_coefficients if of_type else np.eye(field.size)
-    fitted = {name: k for k, name in enumerate(fit.parameter_names)}
-    result = np.zeros((errors.size, len(fitted)))
-    for column, name in enumerate(field.names):
-        if f"{ROBOT_ERROR}.{name}" in fitted:
-            result[:, fitted[f"{ROBOT_ERROR}.{name}"]] = by_coefficients[:, column]
-    of_joint = [name.split(".")[-1] == joint for name in errors.names]
-    result = result[np.array(of_joint)]
-    return result[result.any(axis=1)]
+    """Return the derivatives of the fitted errors of a joint by the fit's parameters."""
+    names, by_parameters = whole_errors_by_parameters(fit)
+    of_joint = by_parameters[[name.split(".")[-1] == joint for name in names]]
+    return of_joint[of_joint.any(axis=1)]

@@ -248,24 +248,28 @@ def fit_poses(
     check_start(start, data)
     choice = ParameterChoice.of(fixed, (TARGET_SCALE,) if scale else (), priors)
     require_moving_robot(data, blank, choice)
+    tracker = tracker_prior or TrackerPrior()
     # A drift is estimated with the whole chain.
     may_drift = not (data.states_covariance or fixed or priors)
     begin = start_of_poses(data, blank, start, scale)
     if may_drift and not scale and begin.unit_doubt > MIN_UNIT_DOUBT:
-        noises = prior, tracker_prior or TrackerPrior()
-        begin = start_in_likelier_unit(data, blank, start, begin, *noises)
+        begin = start_in_likelier_unit(data, blank, start, begin, prior, tracker)
         if begin.in_own_unit:
             scale, prior = True, _without_target(prior, True)
             choice = ParameterChoice.of((), (TARGET_SCALE,), None)
     calibration, consistent, ambiguities = begin.calibration, begin.consistent, begin.ambiguities
     report(f"start: {consistent.sum()} of {len(data.usable_views())} pairs agree")
 
+    def chain_of(used: PoseDataset) -> TrackedChain:
+        """Return the chain of transforms for some pairs."""
+        return TrackedChain(used, calibration, scale, prior, tracker)
+
     def fit_consistent() -> tuple[PoseDataset, JointFit, TrackerNoise | None, TrackerDrift | None]:
         """Return the pairs that agree, the fit to them, and the tracker's noise and drift."""
         used = without_views(data, _contradictions(data, calibration, consistent))
         noise = drift = None
         if not data.states_covariance:
-            chain = TrackedChain(used, calibration, scale, prior, tracker_prior or TrackerPrior())
+            chain = chain_of(used)
             known = begin.drift if begin.drift is not None and begin.drift.is_of(chain) else None
             noise = likeliest_noise(chain) if known is None else known.noise
             if may_drift:
@@ -296,8 +300,7 @@ def fit_poses(
     if drift is not None:
         fit = with_uncertain_drift(fit, drift)
     elif noise is not None and not (fixed or priors):
-        chain = TrackedChain(used, calibration, scale, prior, tracker_prior or TrackerPrior())
-        fit = _with_uncertain_noise(fit, chain, noise)
+        fit = _with_uncertain_noise(fit, chain_of(used), noise)
     doubts = (*ambiguities, *_doubt_of_direction(data, fit.calibration, start, priors))
     fit = dataclasses.replace(fit, warnings=(*doubts, *fit.warnings))
     covariance = used.covariance

@@ -13,11 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..geometry import (
-    host_exponentials,
-    host_rotations_between,
-    host_transformed,
-)
+from ..geometry import host_exponentials, host_rotations_between, host_transformed
 
 MAX_STEPS = 30
 """The largest number of steps from a mirrored pose."""

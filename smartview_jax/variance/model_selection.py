@@ -187,7 +187,7 @@ def _models_of_any_robot(
     white = {WHITE_NOISE: Candidate(frozenset(), float(np.log(WHITE_NOISE_ODDS)))}
     if basis is None:
         return white
-    # The models are of what a robot deviates from its type.
+    # The models describe how a robot deviates from its type.
     basis = basis.errors if isinstance(basis, ErrorsOfType) else basis
     if requested != "auto":
         return white | {field_name(basis): Candidate(_group_names(basis), 0.0)}
