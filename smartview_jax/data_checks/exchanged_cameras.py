@@ -99,11 +99,12 @@ def _exchange(relative: Poses) -> _Exchange | None:
     scale = np.repeat(np.maximum(parts, 1e-9), 3)
     before, after = _squares(given, scale), np.sum((twists / scale) ** 2, axis=-1)
     is_explained = (after <= MAX_LEFT_OVER * before)[exchanged].all()
-    if not is_explained or after.sum() > MAX_LEFT_OVER * before.sum():
+    # Exact poses leave nothing over, and do not tell cameras at one place apart.
+    left_over = max(after.sum(), 1e-9)
+    if not is_explained or left_over > MAX_LEFT_OVER * before.sum():
         return None
     freedom = _dimensions(twists / scale) * (count - 1)
-    # Exact poses leave nothing over.
-    log_chance = _log_chance(before.sum() / max(after.sum(), 1e-9), freedom)
+    log_chance = _log_chance(before.sum() / left_over, freedom)
     # Each state may be exchanged or not: two to the number of states chances.
     if log_chance + count * np.log(2.0) > np.log(MAX_CHANCE):
         return None

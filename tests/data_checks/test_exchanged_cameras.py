@@ -55,3 +55,15 @@ def test_errors_along_one_line_are_no_exchange():
             host_exponentials(errors) @ seen["left"].camera_from_world
         )
         assert exchanged_cameras(rig, seen) == ()
+
+
+@pytest.mark.filterwarnings("error")
+def test_cameras_that_see_the_same_to_rounding_are_not_exchanged():
+    """As two data sets of one camera whose depths are exact."""
+    rig = rig_of((1, 2), 6)
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        seen = seen_by_both(np.eye(4), rng, 6)
+        left, right = (target.camera_from_world for target in seen.values())
+        right[:] = left @ host_exponentials(1e-16 * rng.normal(size=(6, 1)) * np.ones(6))
+        assert exchanged_cameras(rig, seen) == ()
