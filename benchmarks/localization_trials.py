@@ -25,8 +25,9 @@ from smartview_jax.localization import (
     localize,
     next_view,
 )
-from smartview_jax.localization.edge_lines import MODEL_SIGMA
-from smartview_jax.localization.refinement import line_equations, measured_lines
+from smartview_jax.localization.edges.edge_lines import MODEL_SIGMA
+from smartview_jax.localization.refining.pose_equations import line_equations
+from smartview_jax.localization.refining.refinement import measured_lines
 from smartview_jax.modeling import CalibrationUncertainty, ObjectModel, SeenViews
 from smartview_jax.picking.calibrating import stacked_commands
 

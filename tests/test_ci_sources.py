@@ -33,7 +33,7 @@ def test_sources_are_found_through_imports(sources_of):
     assert ".ci/constraints.txt" in tuning
     # A fit needs neither a person's page nor the search for objects.
     assert not any("/editor/" in name or "/localization/" in name for name in tuning)
-    assert "smartview_jax/localization/verdict.py" in sources_of("benchmarks/hypotheses")
+    assert "smartview_jax/localization/judging/verdict.py" in sources_of("benchmarks/hypotheses")
 
 
 def test_data_of_a_package_are_sources(sources_of):

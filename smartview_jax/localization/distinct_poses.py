@@ -1,71 +1,12 @@
-"""Tell which poses are almost the same up to the object's symmetry, and which are in one place."""
+"""Tell which poses are almost the same up to the object's symmetry, and how uncertain they are."""
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..geometry import host_transformed
 from ..modeling import ObjectModel
-from .solid_overlap import overlap_deeper, thickness
-from .wireframe import HIDING_MARGIN
 
 SAME_POSE_DISTANCE = 0.06
 """RMS vertex distance of two poses, over the object's extent, below which they are the same."""
-
-SAME_PLACE = 0.5
-"""Distance between the middles of two objects, over the smaller extent, below which they are near.
-
-A flat object has no volume that could overlap: it is in one place with what is near."""
-
-MAX_TOLERANCE = 0.5
-"""Largest tolerated overlap of two solids, over the thickness of the thinner one: two equal poses
-overlap whatever their uncertainty."""
-
-TOLERATED_SIGMAS = 3.0
-"""Number of standard deviations that are tolerated: of the poses, where two solids overlap, and of
-a model's tolerance, where its faces seem moved."""
-
-
-def in_one_place(
-    model: ObjectModel,
-    pose: Float[np.ndarray, "4 4"],
-    other: ObjectModel,
-    other_pose: Float[np.ndarray, "4 4"],
-    tolerance: float = 0.0,
-) -> bool:
-    """Return whether two objects would occupy the same space.
-
-    Args:
-        model, other: of the objects.
-        pose, other_pose: their world_from_object.
-        tolerance: overlap that errors of the poses explain, m; see `overlap_tolerance`.
-    """
-    thinner = min(thickness(m) for m in (model, other))
-    if thinner <= 0.0:
-        return middles_are_near(model, pose, other, other_pose)
-    # Touching objects overlap by the errors of their vertices.
-    allowed = tolerance + HIDING_MARGIN * (model.extent + other.extent)
-    depth = min(allowed, MAX_TOLERANCE * thinner)
-    return overlap_deeper(model, pose, other, other_pose, depth)
-
-
-def middles_are_near(
-    model: ObjectModel,
-    pose: Float[np.ndarray, "4 4"],
-    other: ObjectModel,
-    other_pose: Float[np.ndarray, "4 4"],
-) -> bool:
-    """Return whether the middles of two objects are nearer than half of the smaller extent."""
-    middles = [
-        host_transformed(p, m.vertices.mean(axis=0))
-        for m, p in ((model, pose), (other, other_pose))
-    ]
-    smaller = min(m.extent for m in (model, other))
-    return bool(np.linalg.norm(middles[0] - middles[1]) < SAME_PLACE * smaller)
-
-
-def overlap_tolerance(*sigmas: float) -> float:
-    """Return the overlap of objects that standard deviations of their surfaces explain, m."""
-    return TOLERATED_SIGMAS * float(np.linalg.norm(sigmas))
 
 
 def surface_sigma(model: ObjectModel, covariance: Float[np.ndarray, "6 6"]) -> float:

@@ -8,8 +8,7 @@ from ..cameras import Camera
 from ..geometry import host_matrices
 from ..modeling import AnyCalibration, RigViews, SeenViews, command_at
 from ..robots import Command
-from .hypotheses import Hypothesis
-from .localization import Localizations
+from .judging import Localizations
 
 SAME_CALIBRATION = 1e-9
 """Largest relative difference of numbers of two calibrations that count as the same.
@@ -115,11 +114,3 @@ def joined_commands(first: Command, second: Command) -> Command:
     if first.joints is None or second.joints is None:
         first, second = Command(first.base_from_tool), Command(second.base_from_tool)
     return jax.tree.map(lambda a, b: np.concatenate([a, b]), first, second)
-
-
-def hypotheses_of(previous: Localizations | None) -> list[Hypothesis]:
-    """Return every pose that earlier views left open or accepted, rivals included."""
-    kept = [result for result in previous or () if result.verdict.decision != "rejected"]
-    poses = [(result.model_index, result.world_from_object) for result in kept]
-    poses += [(rival.model, rival.world_from_object) for result in kept for rival in result.rivals]
-    return [Hypothesis(model, pose, 0.0, 0.0) for model, pose in poses]

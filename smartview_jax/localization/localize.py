@@ -7,7 +7,6 @@ The poses of accepted objects are refined together at the end.
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -18,20 +17,24 @@ from ..evaluation import CalibrationEstimate
 from ..features import PictureEvidence, picture_evidence, scaled_camera
 from ..modeling import AnyCalibration, CalibrationUncertainty, ObjectModel, RigViews, SeenViews
 from ..robots import CommandLike
-from .candidates import Prepared, Query
 from .corrected_rig import judged_with_rig
-from .depth_buffers import checked_triangles
-from .earlier_views import hypotheses_of, own_command, together_with
-from .hypotheses import ALL_HYPOTHESES, Hypothesis, checked_box, find_hypotheses
-from .judging import MAX_REJECTED
-from .localization import Localization, Localizations, model_name
-from .picture_scales import at_one_scale
-from .pose_convergence import THREADS
+from .earlier_views import own_command, together_with
+from .edges import checked_triangles, shows
+from .judging import (
+    DEFAULT_OPTIONS,
+    MAX_REJECTED,
+    Localization,
+    Localizations,
+    Prepared,
+    Query,
+    Scene,
+    VerdictOptions,
+    model_name,
+)
+from .refining import THREADS
 from .refining_together import refined_together
-from .scene import Scene
-from .search_rounds import SearchResult, judged_in_rounds
-from .verdict import DEFAULT_OPTIONS, VerdictOptions
-from .wireframe import shows
+from .search import Hypothesis, at_one_scale, checked_box
+from .search_rounds import SearchResult, hypotheses_of, judged_in_rounds
 
 
 def localize(
@@ -117,14 +120,13 @@ def localize(
     # search.
     given, missing = list(hypotheses or ()), list[int]()
     if hypotheses is None:
-        given = hypotheses_of(previous)
+        given = hypotheses_of([r for r in previous or () if r.verdict.decision != "rejected"])
         known = {h.model for h in given}
         missing = [k for k in range(len(prepared)) if k not in known]
-    search = partial(_searched, prepared, box)
     scene = Scene(views, pictures, triangles)
     query = Query(prepared, uncertainty, options, box)
-    searched = judged_in_rounds(scene, query, given, missing, partial(search, views))
-    searched, scene, query = judged_with_rig(searched, scene, query, missing, search, triangles)
+    searched = judged_in_rounds(scene, query, given, missing)
+    searched, scene, query = judged_with_rig(searched, scene, query, missing)
     results = refined_together(searched.results, scene, prepared, query.uncertainty)
     frame = calibration.frame if isinstance(calibration, RigViews) else "world"
     return Localizations(
@@ -214,21 +216,6 @@ def _check_models(
         unknown = [k for k in indices if not 0 <= k < count]
         if unknown:
             raise ValueError(f"{name}: of model {unknown[0]}, where there are {count} models")
-
-
-def _searched(
-    prepared: Sequence[Prepared],
-    box: Float[np.ndarray, "2 3"] | None,
-    views: SeenViews,
-    pictures: Sequence[PictureEvidence],
-    indices: Sequence[int],
-) -> list[Hypothesis]:
-    """Return hypotheses of some models, with their indices among all models."""
-    if not indices:
-        return []
-    models = [prepared[k].model for k in indices]
-    hypotheses = find_hypotheses(pictures, views, models, ALL_HYPOTHESES, workspace=box)
-    return [h._replace(model=indices[h.model]) for h in hypotheses]
 
 
 def _reported(results: Sequence[Localization]) -> list[Localization]:

@@ -14,19 +14,18 @@ from scipy.linalg import block_diag
 
 from ..geometry import host_exponentials
 from ..modeling import CalibrationUncertainty
-from .candidates import Prepared
 from .distinct_poses import pose_distances
-from .heavy_tails import NUMBERS
-from .localization import Localization
-from .pose_equations import (
+from .judging import Claim, Localization, Prepared, Scene
+from .refining import (
+    NUMBERS,
     CommonErrors,
     PoseEquations,
     PoseStep,
+    RefinedPose,
     UndeterminedPoseError,
+    refine_pose,
     solve_pose,
 )
-from .refinement import RefinedPose, refine_pose
-from .scene import Claim, Scene
 
 
 def refined_together(

@@ -6,27 +6,29 @@ one search has found very many, what is left is searched again.
 """
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from ..features import PictureEvidence
-from .candidates import Candidate, Query, converged_candidates, measured_candidates
-from .hypotheses import MAX_HYPOTHESES, Hypothesis
-from .judging import judged, scene_without
-from .localization import Localization
-from .pose_convergence import lengths_of_poses
-from .scene import Scene
+from .judging import (
+    Candidate,
+    Localization,
+    Query,
+    Scene,
+    converged_candidates,
+    judged,
+    measured_candidates,
+    scene_without,
+)
+from .refining import lengths_of_poses
+from .search import ALL_HYPOTHESES, MAX_HYPOTHESES, Hypothesis, find_hypotheses
 
 SEARCHED_AGAIN = 8
 """Number of objects of a model that one search finds, from which on it is searched for again.
 
 A search polishes `POLISHED` proposals, and several of them are of one object.
 """
-
-Search = Callable[[Sequence[PictureEvidence], Sequence[int]], list[Hypothesis]]
-"""Return the hypotheses of some models, given by their indices, in pictures; the best first."""
 
 
 class SearchResult(NamedTuple):
@@ -50,7 +52,6 @@ def judged_in_rounds(
     query: Query,
     given: Sequence[Hypothesis],
     searched: Sequence[int],
-    search: Search,
 ) -> SearchResult:
     """Return the verdicts on hypotheses, round after round until one brings no further object.
 
@@ -59,14 +60,13 @@ def judged_in_rounds(
         query: what is looked for.
         given: hypotheses that are all tried in the first round.
         searched: indices of the models that are searched for.
-        search: how they are.
     """
     prepared = query.models
     tried, unjudged = [0] * len(prepared), [0] * len(prepared)
     results: list[Localization] = []
     accepted: list[Localization] = []
     first: list[Hypothesis] = []
-    waiting = search(scene.pictures, searched)
+    waiting = _found_in(scene, query, searched)
     # Objects of each model: found by the latest search, and in the last round.
     by_search: Counter[int] = Counter()
     by_round: Counter[int] = Counter(range(len(prepared)))
@@ -76,7 +76,7 @@ def judged_in_rounds(
         waiting = _worth_trying(free, query, [h for h in waiting if by_round[h.model]])
         many = [model for model in searched if by_search[model] >= SEARCHED_AGAIN]
         if many and not waiting:
-            waiting = _worth_trying(free, query, search(free.free_pictures(), many))
+            waiting = _worth_trying(free, query, _found_in(free, query, many))
             by_search.clear()
         batch, waiting = _first_of_each_model(waiting)
         batch, given = [*given, *batch], ()
@@ -102,6 +102,25 @@ def judged_in_rounds(
         )
         by_search += by_round
         accepted = now
+
+
+def hypotheses_of(results: Sequence[Localization]) -> list[Hypothesis]:
+    """Return the poses of results and of their rivals, to be tried again."""
+    poses = [(obj.model_index, obj.world_from_object) for obj in results]
+    poses += [(rival.model, rival.world_from_object) for obj in results for rival in obj.rivals]
+    return [Hypothesis(model, pose, 0.0, 0.0) for model, pose in poses]
+
+
+def _found_in(scene: Scene, query: Query, indices: Sequence[int]) -> list[Hypothesis]:
+    """Return the hypotheses of some models by the free edges of a scene, the best first."""
+    if not indices:
+        return []
+    models = [query.models[k].model for k in indices]
+    pictures = scene.free_pictures() if scene.has_claims else scene.pictures
+    hypotheses = find_hypotheses(
+        pictures, scene.views, models, ALL_HYPOTHESES, workspace=query.workspace
+    )
+    return [h._replace(model=indices[h.model]) for h in hypotheses]
 
 
 def _first_of_each_model(

@@ -16,8 +16,7 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from ..geometry import host_transformed
 from ..modeling import Face, ObjectModel, face_plane, open_edges
-from .curves import is_round
-from .wireframe import HIDING_MARGIN
+from .edges import HIDING_MARGIN, is_round
 
 EXACT_MARGIN = 1e-4
 """Distance of an exact model's vertices from the planes of their faces, over its extent, that is
@@ -29,6 +28,20 @@ MAX_CUT_FACES = 100
 The convex hull stands for other solids, and for round ones. It is larger, so that an object in a
 hollow of such a solid counts as its rival.
 """
+
+
+SAME_PLACE = 0.5
+"""Distance between the middles of two objects, over the smaller extent, below which they are near.
+
+A flat object has no volume that could overlap: it is in one place with what is near."""
+
+MAX_TOLERANCE = 0.5
+"""Largest tolerated overlap of two solids, over the thickness of the thinner one: two equal poses
+overlap whatever their uncertainty."""
+
+TOLERATED_SIGMAS = 3.0
+"""Number of standard deviations that are tolerated: of the poses, where two solids overlap, and of
+a model's tolerance, where its faces seem moved."""
 
 
 class ConvexPart(NamedTuple):
@@ -92,6 +105,49 @@ def convex_parts(model: ObjectModel) -> tuple[ConvexPart, ...]:
         # All parts of a measured model may be thinner than its errors.
         cells = cells or [whole]
     return tuple(_part(cell) for cell in cells)
+
+
+def in_one_place(
+    model: ObjectModel,
+    pose: Float[np.ndarray, "4 4"],
+    other: ObjectModel,
+    other_pose: Float[np.ndarray, "4 4"],
+    tolerance: float = 0.0,
+) -> bool:
+    """Return whether two objects would occupy the same space.
+
+    Args:
+        model, other: of the objects.
+        pose, other_pose: their world_from_object.
+        tolerance: overlap that errors of the poses explain, m; see `overlap_tolerance`.
+    """
+    thinner = min(thickness(m) for m in (model, other))
+    if thinner <= 0.0:
+        return middles_are_near(model, pose, other, other_pose)
+    # Touching objects overlap by the errors of their vertices.
+    allowed = tolerance + HIDING_MARGIN * (model.extent + other.extent)
+    depth = min(allowed, MAX_TOLERANCE * thinner)
+    return overlap_deeper(model, pose, other, other_pose, depth)
+
+
+def middles_are_near(
+    model: ObjectModel,
+    pose: Float[np.ndarray, "4 4"],
+    other: ObjectModel,
+    other_pose: Float[np.ndarray, "4 4"],
+) -> bool:
+    """Return whether the middles of two objects are nearer than half of the smaller extent."""
+    middles = [
+        host_transformed(p, m.vertices.mean(axis=0))
+        for m, p in ((model, pose), (other, other_pose))
+    ]
+    smaller = min(m.extent for m in (model, other))
+    return bool(np.linalg.norm(middles[0] - middles[1]) < SAME_PLACE * smaller)
+
+
+def overlap_tolerance(*sigmas: float) -> float:
+    """Return the overlap of objects that standard deviations of their surfaces explain, m."""
+    return TOLERATED_SIGMAS * float(np.linalg.norm(sigmas))
 
 
 def overlap_deeper(

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..calibration import Calibration
-from ..cameras import distinct_cameras
+from ..cameras import distinct_cameras, moved_cameras
 from ..engine import (
     Noise,
     Parameters,
@@ -26,9 +26,10 @@ from ..engine import (
     parameter_names,
 )
 from ..evaluation import CalibrationEstimate, covariance_root
-from ..geometry import host_matrices
+from ..geometry import host_exponentials, host_matrices
 from ..robots import Command, CommandLike
 from ..runtime.compilation import compiled
+from ..runtime.padding import repeat_last
 from .rig_views import AnyCalibration, RigViews
 from .view_poses import SeenViews, as_checked_command, chain_command, padded_views
 
@@ -233,6 +234,26 @@ class CalibrationUncertainty(NamedTuple):
             factors[first : first + 4] = by_u, by_v, by_u, by_v
             first += sum(np.size(leaf) for leaf in jax.tree.leaves(old))
         return self._replace(view_jacobian=factors[:, None] * self.view_jacobian)
+
+    def corrected(self, views: SeenViews, error: Float[np.ndarray, "numbers"]) -> SeenViews:
+        """Return views whose cameras and poses are corrected by errors of the numbers.
+
+        An error of the calibration displaces each picture as a whole, differently from the others,
+        so that no pose of an object fits its edges in all pictures. This is no evidence against the
+        object.
+
+        Args:
+            views: cameras and poses as calibrated.
+            error: true minus calibrated numbers.
+        """
+        if not len(error):
+            return views
+        local = self.view_jacobian @ error
+        # Every view lists the parameters of all cameras, before its own twist.
+        camera = moved_cameras(views.camera, local[0, :-6])
+        moved = host_exponentials(local[:, -6:]) @ views.camera_from_world
+        padded = repeat_last(moved, len(views.padded))
+        return views._replace(camera=camera, camera_from_world=moved, padded=padded)
 
     def with_view_errors(self, translation: float, rotation: float) -> "CalibrationUncertainty":
         """Return the uncertainty with a further error of each camera pose, six numbers a view.

@@ -9,6 +9,7 @@ of the program's own work.
 
 import functools
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 import jax
@@ -94,7 +95,7 @@ def over_padded_views(
     return jax.tree.map(lambda x: np.asarray(x)[:views], program(padded))
 
 
-def in_batches(program: Callable[[Any], Any], rows: Any, size: int) -> Any:
+def in_batches(program: Callable[[Any], Any], rows: Any, size: int, threads: int = 1) -> Any:
     """Return what a program makes of rows, on the host, run with a fixed number of rows at a time.
 
     So one program serves any number of rows, with bounded memory.
@@ -104,6 +105,8 @@ def in_batches(program: Callable[[Any], Any], rows: Any, size: int) -> Any:
         rows: pytree of arrays with one length; the last batch is padded by copies of its last row,
             or by zeros without any.
         size: number of rows in a batch.
+        threads: number of batches that are computed at the same time, after the first, which
+            compiles the program if necessary.
     """
     host = jax.tree.map(np.asarray, rows)
     count = len(jax.tree.leaves(host)[0])
@@ -116,7 +119,9 @@ def in_batches(program: Callable[[Any], Any], rows: Any, size: int) -> Any:
         return jax.tree.map(lambda x: np.asarray(x)[: count - start], results)
 
     # One batch at least, which tells the shapes of the results.
-    results = [of_batch(start) for start in range(0, max(count, 1), size)]
+    first, *others = range(0, max(count, 1), size)
+    with ThreadPoolExecutor(threads) as pool:
+        results = [of_batch(first), *pool.map(of_batch, others)]
     return jax.tree.map(lambda *parts: np.concatenate(parts), *results)
 
 

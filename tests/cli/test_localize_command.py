@@ -56,7 +56,7 @@ def search(folder, tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("smartview_jax.localize", spied)
-        patch.setattr("smartview_jax.localization.candidates.FIT_SAMPLES", SAMPLES)
+        patch.setattr("smartview_jax.localization.judging.candidates.FIT_SAMPLES", SAMPLES)
         done = run(*words(folder, "--out", page, "--occluder", folder / "far.stl"))
     return done, page.read_text(), found[0]
 

@@ -13,7 +13,7 @@ from smartview_jax.modeling import CalibrationUncertainty
 def few_samples():
     """Enough for wireframes among drawn edges."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("smartview_jax.localization.candidates.FIT_SAMPLES", SAMPLES)
+        patch.setattr("smartview_jax.localization.judging.candidates.FIT_SAMPLES", SAMPLES)
         yield
 
 

@@ -8,11 +8,14 @@ from placed_box import MODEL, NOISE, POSE, placed, projected
 
 from smartview_jax.geometry import host_exponentials
 from smartview_jax.localization import EdgeLookup, refine_pose
-from smartview_jax.localization.corrected_views import corrected_views
-from smartview_jax.localization.edge_lines import EXPLAINED_DISTANCE
-from smartview_jax.localization.evidence import evidence_of
-from smartview_jax.localization.pose_equations import CommonErrors, PoseEquations, solve_pose
-from smartview_jax.localization.refinement import measured_lines
+from smartview_jax.localization.edges.edge_lines import EXPLAINED_DISTANCE
+from smartview_jax.localization.judging.evidence import evidence_of
+from smartview_jax.localization.refining.pose_equations import (
+    CommonErrors,
+    PoseEquations,
+    solve_pose,
+)
+from smartview_jax.localization.refining.refinement import measured_lines
 from smartview_jax.modeling import CalibrationUncertainty
 
 
@@ -49,7 +52,7 @@ def test_edges_lie_on_the_model_once_what_the_calibration_may_err_is_taken_away(
         pictures = drawn(MODEL, true, POSE, 0.05, rng)
         lookup = EdgeLookup.of(pictures, views.camera.image_size)
         refined = refine_pose(POSE, MODEL, wireframe, views, lookup, uncertainty, radius=8.0)
-        corrected = corrected_views(views, uncertainty, refined.calibration_error)
+        corrected = uncertainty.corrected(views, refined.calibration_error)
         lines = [
             measured_lines(wireframe, own, lookup, refined.world_from_object, EXPLAINED_DISTANCE)
             for own in (views, corrected)
@@ -75,7 +78,7 @@ def test_edges_lie_on_the_model_once_what_the_calibration_may_err_is_taken_away(
 
 
 def test_an_exact_calibration_is_left_as_it_is(views):
-    assert corrected_views(views, CalibrationUncertainty.none(views), np.zeros(0)) is views
+    assert CalibrationUncertainty.none(views).corrected(views, np.zeros(0)) is views
 
 
 def test_numbers_of_the_camera_are_corrected_too(views, uncertainty):
@@ -83,7 +86,7 @@ def test_numbers_of_the_camera_are_corrected_too(views, uncertainty):
     jacobian = np.zeros((2, count + 6, 1))
     jacobian[:, 0] = 2.0
     own = uncertainty._replace(view_jacobian=jacobian)
-    moved = corrected_views(views, own, np.array([1.5])).camera
+    moved = own.corrected(views, np.array([1.5])).camera
     before, after = jax.tree.leaves(views.camera), jax.tree.leaves(moved)
     assert float(after[0]) == float(before[0]) + 3.0
     np.testing.assert_array_equal(np.hstack(after[1:]), np.hstack(before[1:]))

@@ -28,8 +28,15 @@ import smartview_jax as sv
 from smartview_jax.engine import Noise
 from smartview_jax.features import EdgePoints
 from smartview_jax.geometry import host_exponentials, host_logarithms, host_transforms
-from smartview_jax.localization import Hypothesis, Reachable, VerdictOptions, localize, next_view
-from smartview_jax.localization.pose_convergence import lengths_of_poses
+from smartview_jax.localization import (
+    Hypothesis,
+    Reachable,
+    VerdictOptions,
+    localize,
+    next_view,
+    search_rounds,
+)
+from smartview_jax.localization.refining.pose_convergence import lengths_of_poses
 from smartview_jax.modeling import ObjectModel, find_symmetry
 from smartview_jax.robots import Command
 
@@ -141,10 +148,12 @@ def test_a_pose_that_is_drawn_to_the_found_one_is_no_rival(pictures, monkeypatch
     def left_as_they_are(wireframe, views, lookup, poses):
         return poses, lengths_of_poses(wireframe, views, lookup, poses)
 
-    monkeypatch.setattr("smartview_jax.localization.candidates.poses_on_edges", left_as_they_are)
+    monkeypatch.setattr(
+        "smartview_jax.localization.judging.candidates.poses_on_edges", left_as_they_are
+    )
     # All rivals decide, and 1 mm is another pose: what differs is 4 px.
     lenient = VerdictOptions(min_margin=1e3)
-    monkeypatch.setattr("smartview_jax.localization.candidates.SAME_POSE", 0.01)
+    monkeypatch.setattr("smartview_jax.localization.judging.candidates.SAME_POSE", 0.01)
     near = POSE @ host_exponentials(np.array([1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]))
     turned = POSE @ MODEL.symmetry.object_from_object[1]
     given = [Hypothesis(0, p, 0.0, 0.0) for p in (POSE, near, turned)]
@@ -332,8 +341,7 @@ def test_a_model_that_earlier_views_do_not_show_is_searched_for_again(monkeypatc
         assert len(pictures) == 2
         return starts(second_pose)
 
-    module = sys.modules["smartview_jax.localization.localize"]
-    monkeypatch.setattr(module, "find_hypotheses", find_hypotheses)
+    monkeypatch.setattr(search_rounds, "find_hypotheses", find_hypotheses)
     localizations = localize(
         evidence(both[1:]), poses[1:], CALIBRATION, [MODEL, other], previous=first
     )

@@ -1,7 +1,6 @@
 """Long bars, bars side by side, and more objects than one round of the search tries."""
 
 import dataclasses
-import sys
 
 import numpy as np
 import pytest
@@ -19,9 +18,9 @@ from solids import box
 
 from smartview_jax.geometry import host_exponentials
 from smartview_jax.localization import Hypothesis, localize, search_rounds
-from smartview_jax.localization.refinement import explained_edge_points, measured_lines
-from smartview_jax.localization.scene import Scene
-from smartview_jax.localization.wireframe import MIN_EDGE_SAMPLES, Wireframe
+from smartview_jax.localization.edges.wireframe import MIN_EDGE_SAMPLES, Wireframe
+from smartview_jax.localization.judging.scene import Scene
+from smartview_jax.localization.refining.refinement import explained_edge_points, measured_lines
 from smartview_jax.modeling import find_symmetry
 
 BAR = box(0.15, 0.01, 0.014, name="bar")
@@ -75,14 +74,13 @@ def test_two_bars_side_by_side_are_both_found():
 def test_all_of_many_objects_are_found_by_two_searches(monkeypatch):
     """More than are rejected in a row, and more than one search has proposals for."""
     places, searches = [at(0.034 * i, 0.03 * j) for i in range(5) for j in range(2)], []
-    monkeypatch.setattr("smartview_jax.localization.judging.MAX_REJECTED", 6)
+    monkeypatch.setattr("smartview_jax.localization.judging.judging.MAX_REJECTED", 6)
 
     def find_hypotheses(pictures, views, models, count, *, workspace):
         searches.append(pictures)
         return starts(places[: search_rounds.SEARCHED_AGAIN] if len(searches) == 1 else places)
 
-    module = sys.modules["smartview_jax.localization.localize"]
-    monkeypatch.setattr(module, "find_hypotheses", find_hypotheses)
+    monkeypatch.setattr(search_rounds, "find_hypotheses", find_hypotheses)
     localizations = found_among(CUBE, places, 0.6)
     assert len(localizations.accepted) == len(places)
     assert localizations.messages == ()

@@ -13,7 +13,7 @@ import smartview_jax as sv
 from smartview_jax.features import picture_evidence
 from smartview_jax.geometry import host_logarithms
 from smartview_jax.localization import Hypothesis, find_hypotheses, localize
-from smartview_jax.localization.picture_scales import at_one_scale
+from smartview_jax.localization.search.hypotheses import at_one_scale
 from smartview_jax.modeling import CalibrationUncertainty, SeenViews, pixel_jacobians
 
 LARGE = CAMERA.resized((2 * CAMERA.image_size[0], 2 * CAMERA.image_size[1]))

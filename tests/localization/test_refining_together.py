@@ -11,9 +11,9 @@ from scipy.linalg import block_diag
 from smartview_jax.evaluation import mean_nees, nees
 from smartview_jax.geometry import host_exponentials, host_logarithms
 from smartview_jax.localization import Localization, judge, refine_pose
-from smartview_jax.localization.candidates import Prepared
+from smartview_jax.localization.judging.candidates import Prepared
+from smartview_jax.localization.judging.scene import Scene
 from smartview_jax.localization.refining_together import refined_together
-from smartview_jax.localization.scene import Scene
 from smartview_jax.modeling import CalibrationUncertainty
 
 NO_TRIANGLES = np.zeros((0, 3, 3))

@@ -15,9 +15,9 @@ from solids import box, drilled
 from smartview_jax.features import picture_evidence
 from smartview_jax.geometry import host_exponentials
 from smartview_jax.localization import Wireframe, find_hypotheses, localize, pose_jacobians
-from smartview_jax.localization.circle_poses import circle_poses, circles_of
-from smartview_jax.localization.curves import Curves, is_round
-from smartview_jax.localization.outlines import smooth_edges, with_outline
+from smartview_jax.localization.edges.curves import Curves, is_round
+from smartview_jax.localization.edges.outlines import smooth_edges, with_outline
+from smartview_jax.localization.search.ellipse_poses import circle_poses, circles_of
 from smartview_jax.modeling import SeenViews
 from smartview_jax.runtime.compilation import compiled
 

@@ -40,11 +40,10 @@ from smartview_jax.localization import (
     localize,
     next_view,
 )
-from smartview_jax.localization.depth_buffers import DepthBuffers
 from smartview_jax.localization.earlier_views import together_with
-from smartview_jax.localization.edge_lookup import DEPTH_CELL_PX, EdgeLookup
-from smartview_jax.localization.refinement import refine_pose
-from smartview_jax.localization.scoring import stacked_maps
+from smartview_jax.localization.edges.edge_lookup import DEPTH_CELL_PX, DepthBuffers, EdgeLookup
+from smartview_jax.localization.refining.refinement import refine_pose
+from smartview_jax.localization.search.scoring import stacked_maps
 from smartview_jax.modeling import (
     CalibrationUncertainty,
     RigViews,
@@ -147,7 +146,7 @@ def pictures(rig):
 def test_an_object_is_found_in_a_stereo_pair(rig, pictures, monkeypatch):
     # The start is the truth: nothing has to converge, whose program takes long to compile.
     monkeypatch.setattr(
-        "smartview_jax.localization.candidates.poses_on_edges",
+        "smartview_jax.localization.judging.candidates.poses_on_edges",
         lambda wireframe, views, lookup, poses: (poses, np.array([[900.0, 800.0]])),
     )
     results, in_base = (

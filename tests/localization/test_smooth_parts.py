@@ -12,10 +12,13 @@ from smartview_jax.features import EdgePoints, IdealPlane
 from smartview_jax.geometry import host_exponentials, host_logarithms
 from smartview_jax.io.meshes import model_from_triangles
 from smartview_jax.localization import EdgeLookup, Wireframe, refine_pose
-from smartview_jax.localization.circle_poses import SeenEllipses
-from smartview_jax.localization.outline_poses import poses_from_outlines, seen_hulls
-from smartview_jax.localization.outlines import OutlineSamples
-from smartview_jax.localization.shading import EDGE_BLUR
+from smartview_jax.localization.edges.edge_line_fit import EDGE_BLUR
+from smartview_jax.localization.edges.outlines import OutlineSamples
+from smartview_jax.localization.search.ellipse_poses import (
+    SeenEllipses,
+    poses_from_outlines,
+    seen_hulls,
+)
 from smartview_jax.modeling import ObjectModel, SeenViews
 
 AXES = np.array([0.03, 0.02, 0.012])

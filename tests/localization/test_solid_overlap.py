@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 from solids import box, prism
 
-from smartview_jax.localization.distinct_poses import in_one_place
-from smartview_jax.localization.solid_overlap import convex_parts, overlap_deeper, thickness
+from smartview_jax.localization.solid_overlap import (
+    convex_parts,
+    in_one_place,
+    overlap_deeper,
+    thickness,
+)
 from smartview_jax.modeling import Face, ObjectModel, edges_of_faces
 
 HERE = np.eye(4)

@@ -5,11 +5,11 @@ import pytest
 from drawn_edges import drawn, evidence, seen_views
 from placed_box import MIDDLE, MODEL, POSE, error_of
 
-from smartview_jax.localization import views_alone
-from smartview_jax.localization.candidates import Prepared, Query
-from smartview_jax.localization.depth_buffers import checked_triangles
-from smartview_jax.localization.scene import Scene
-from smartview_jax.localization.verdict import DEFAULT_OPTIONS
+from smartview_jax.localization import corrected_rig
+from smartview_jax.localization.edges.edge_lookup import checked_triangles
+from smartview_jax.localization.judging.candidates import Prepared, Query
+from smartview_jax.localization.judging.scene import Scene
+from smartview_jax.localization.judging.verdict import DEFAULT_OPTIONS
 from smartview_jax.modeling import CalibrationUncertainty
 
 VIEWS = seen_views(MIDDLE)
@@ -23,10 +23,10 @@ def scene():
 
 
 def seen_from(scene, pose, uncertainty):
-    lookups = [views_alone._of_one_view(scene.lookup, view) for view in range(2)]
+    lookups = [corrected_rig._of_one_view(scene.lookup, view) for view in range(2)]
     query = Query([Prepared.of(MODEL)], uncertainty, DEFAULT_OPTIONS)
-    place = views_alone.Place(0, pose, NOWHERE)
-    return views_alone._poses_in_views(place, VIEWS, lookups, query)
+    place = corrected_rig.Place(0, pose, NOWHERE)
+    return corrected_rig._poses_in_views(place, VIEWS, lookups, query)
 
 
 def test_each_view_is_searched_as_far_as_a_wrong_camera_pose_displaces_it(scene):

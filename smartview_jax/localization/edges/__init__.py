@@ -1,0 +1,32 @@
+"""Predict the edges of a model in a picture, and measure where the picture has them."""
+
+from .curves import closed_rims as closed_rims
+from .curves import is_round as is_round
+from .curves import is_smooth as is_smooth
+from .edge_line_fit import MIN_POINT_SIGMA as MIN_POINT_SIGMA
+from .edge_lines import EXPLAINED_DISTANCE as EXPLAINED_DISTANCE
+from .edge_lines import HIDING_DEPTH as HIDING_DEPTH
+from .edge_lines import INDEPENDENT_LENGTH as INDEPENDENT_LENGTH
+from .edge_lines import MAX_RADIUS as MAX_RADIUS
+from .edge_lines import MIN_ALIGNMENT as MIN_ALIGNMENT
+from .edge_lines import EdgeLines as EdgeLines
+from .edge_lines import lines_in_views as lines_in_views
+from .edge_lookup import DepthBuffers as DepthBuffers
+from .edge_lookup import EdgeLookup as EdgeLookup
+from .edge_lookup import checked_triangles as checked_triangles
+from .edge_lookup import padded_poses as padded_poses
+from .outlines import OutlineSamples as OutlineSamples
+from .outlines import SeenEdges as SeenEdges
+from .outlines import with_outline as with_outline
+from .prediction import centre_in_object as centre_in_object
+from .prediction import faces_before as faces_before
+from .prediction import hidden_samples as hidden_samples
+from .prediction import pose_jacobians as pose_jacobians
+from .prediction import predict_view as predict_view
+from .prediction import samples_turned_away as samples_turned_away
+from .prediction import triangle_crossings as triangle_crossings
+from .wireframe import EDGE_SAMPLES as EDGE_SAMPLES
+from .wireframe import HIDING_MARGIN as HIDING_MARGIN
+from .wireframe import MIN_TRIANGLES as MIN_TRIANGLES
+from .wireframe import Wireframe as Wireframe
+from .wireframe import shows as shows

@@ -1,0 +1,1 @@
+"""Choose the next view of objects that were found."""
