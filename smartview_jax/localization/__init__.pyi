@@ -15,8 +15,8 @@ from .judging.localization import EdgeMatch as EdgeMatch
 from .judging.localization import Localization as Localization
 from .judging.localization import Localizations as Localizations
 from .judging.localization import Rival as Rival
+from .judging.options import VerdictOptions as VerdictOptions
 from .judging.verdict import Verdict as Verdict
-from .judging.verdict import VerdictOptions as VerdictOptions
 from .judging.verdict import judge as judge
 from .localize import localize as localize
 from .next_views.next_view import NextView as NextView
@@ -26,9 +26,10 @@ from .refining.pose_convergence import converged_poses as converged_poses
 from .refining.refinement import FIT_SAMPLES as FIT_SAMPLES
 from .refining.refinement import RefinedPose as RefinedPose
 from .refining.refinement import refine_pose as refine_pose
-from .search.ellipse_poses import RoundOptions as RoundOptions
 from .search.hypotheses import Hypothesis as Hypothesis
 from .search.hypotheses import find_hypotheses as find_hypotheses
+from .search.options import RoundOptions as RoundOptions
+from .search.options import SearchOptions as SearchOptions
 from .search.polishing import polished_poses as polished_poses
 from .search.scoring import PoseScores as PoseScores
 from .search.scoring import SceneMaps as SceneMaps

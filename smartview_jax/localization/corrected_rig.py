@@ -214,7 +214,7 @@ def _pose_in_view(
     pose = refined.world_from_object
     lines = measured_lines(entry.fine, views, lookup, pose, EXPLAINED_DISTANCE)
     in_view = jax.tree.map(lambda part: part[[view]], lines)
-    evidence = evidence_of(in_view, entry.fine, is_alone=True)
+    evidence = evidence_of(in_view, entry.fine, is_alone=True, options=query.options)
     covariance = refined.pictures + refined.model
     uncertain = relative_std(entry.model, covariance)
     verdict = judge(evidence, POSES_PER_BATCH, np.inf, uncertainty=uncertain, options=query.options)

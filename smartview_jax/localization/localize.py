@@ -33,7 +33,7 @@ from .judging import (
 )
 from .refining import THREADS
 from .refining_together import refined_together
-from .search import Hypothesis, at_one_scale, checked_box
+from .search import DEFAULT_SEARCH_OPTIONS, Hypothesis, SearchOptions, at_one_scale, checked_box
 from .search_rounds import SearchResult, hypotheses_of, judged_in_rounds
 
 
@@ -50,6 +50,7 @@ def localize(
     workspace: Float[np.ndarray, "2 3"] | None = None,
     occluders: Float[np.ndarray, "triangles 3 3"] | None = None,
     options: VerdictOptions = DEFAULT_OPTIONS,
+    search: SearchOptions = DEFAULT_SEARCH_OPTIONS,
 ) -> Localizations:
     """Find objects of known models in one, two or more calibrated pictures.
 
@@ -75,6 +76,7 @@ def localize(
         occluders: triangles in the world, m, of known obstacles such as the walls of a bin; edges
             that they occlude do not count as missing.
         options: limits by which a pose is accepted, rejected or left open.
+        search: limits of the search for poses.
 
     Returns:
         The objects found, accepted ones first; `messages` says why others were not accepted.
@@ -124,7 +126,7 @@ def localize(
         known = {h.model for h in given}
         missing = [k for k in range(len(prepared)) if k not in known]
     scene = Scene(views, pictures, triangles)
-    query = Query(prepared, uncertainty, options, box)
+    query = Query(prepared, uncertainty, options, box, search=search)
     searched = judged_in_rounds(scene, query, given, missing)
     searched, scene, query = judged_with_rig(searched, scene, query, missing)
     results = refined_together(searched.results, scene, prepared, query.uncertainty)

@@ -22,12 +22,12 @@ from .judging import (
     scene_without,
 )
 from .refining import lengths_of_poses
-from .search import ALL_HYPOTHESES, MAX_HYPOTHESES, Hypothesis, find_hypotheses
+from .search import Hypothesis, find_hypotheses
 
 SEARCHED_AGAIN = 8
 """Number of objects of a model that one search finds, from which on it is searched for again.
 
-A search polishes `POLISHED` proposals, and several of them are of one object.
+A search polishes `SearchOptions.polished` proposals, and several of them are of one object.
 """
 
 
@@ -78,20 +78,19 @@ def judged_in_rounds(
         if many and not waiting:
             waiting = _worth_trying(free, query, _found_in(free, query, many))
             by_search.clear()
-        batch, waiting = _first_of_each_model(waiting)
+        batch, waiting = _first_of_each_model(waiting, query.search.hypotheses)
         batch, given = [*given, *batch], ()
         if not batch:
             return SearchResult(results, tried, unjudged, first)
         first = first or batch
         tried = _added(tried, batch)
-        candidates = _within(converged_candidates(free, prepared, batch), query)
+        candidates = _within(converged_candidates(free, query, batch), query)
         # Poses left open are judged again, with the objects found since as neighbours.
         undecided = [obj for obj in results if obj.verdict.decision == "open"]
         if undecided:
-            poses = [
-                Candidate(obj.model_index, obj.world_from_object, 0.0, 0.0) for obj in undecided
-            ]
-            candidates = measured_candidates(free, prepared, [*candidates, *poses])
+            poses = [(c.model, c.pose) for c in candidates]
+            poses += [(obj.model_index, obj.world_from_object) for obj in undecided]
+            candidates = measured_candidates(free, query, poses)
         rejected = [obj for obj in results if obj.verdict.decision == "rejected"]
         judgement = judged(free, query, candidates, sum(tried), accepted)
         unjudged = _added(unjudged, judgement.unjudged)
@@ -117,21 +116,22 @@ def _found_in(scene: Scene, query: Query, indices: Sequence[int]) -> list[Hypoth
         return []
     models = [query.models[k].model for k in indices]
     pictures = scene.free_pictures() if scene.has_claims else scene.pictures
+    options, workspace = query.search, query.workspace
     hypotheses = find_hypotheses(
-        pictures, scene.views, models, ALL_HYPOTHESES, workspace=query.workspace
+        pictures, scene.views, models, options.all_hypotheses, workspace=workspace, options=options
     )
     return [h._replace(model=indices[h.model]) for h in hypotheses]
 
 
 def _first_of_each_model(
-    hypotheses: Sequence[Hypothesis],
+    hypotheses: Sequence[Hypothesis], most: int
 ) -> tuple[list[Hypothesis], list[Hypothesis]]:
     """Return the hypotheses of a round, and the others."""
     counts: Counter[int] = Counter()
     batch, others = list[Hypothesis](), list[Hypothesis]()
     for hypothesis in hypotheses:
         counts[hypothesis.model] += 1
-        is_first = counts[hypothesis.model] <= MAX_HYPOTHESES
+        is_first = counts[hypothesis.model] <= most
         (batch if is_first else others).append(hypothesis)
     return batch, others
 

@@ -31,6 +31,7 @@ from smartview_jax.geometry import host_exponentials, host_logarithms, host_tran
 from smartview_jax.localization import (
     Hypothesis,
     Reachable,
+    SearchOptions,
     VerdictOptions,
     localize,
     next_view,
@@ -336,14 +337,18 @@ def test_a_model_that_earlier_views_do_not_show_is_searched_for_again(monkeypatc
     )
     assert {localization.model.name for localization in first} == {"box"}
 
-    def find_hypotheses(pictures, views, models, count, *, workspace):
+    few = SearchOptions(polished=7)
+
+    def find_hypotheses(pictures, views, models, count, *, workspace, options):
         assert [model.name for model in models] == ["prism"]
+        assert options is few
+        assert count == 4 * 7
         assert len(pictures) == 2
         return starts(second_pose)
 
     monkeypatch.setattr(search_rounds, "find_hypotheses", find_hypotheses)
     localizations = localize(
-        evidence(both[1:]), poses[1:], CALIBRATION, [MODEL, other], previous=first
+        evidence(both[1:]), poses[1:], CALIBRATION, [MODEL, other], previous=first, search=few
     )
     names = {(obj.model.name, obj.model_index) for obj in localizations}
     assert names == {("box", 0), ("prism", 1)}

@@ -76,7 +76,7 @@ def test_all_of_many_objects_are_found_by_two_searches(monkeypatch):
     places, searches = [at(0.034 * i, 0.03 * j) for i in range(5) for j in range(2)], []
     monkeypatch.setattr("smartview_jax.localization.judging.judging.MAX_REJECTED", 6)
 
-    def find_hypotheses(pictures, views, models, count, *, workspace):
+    def find_hypotheses(pictures, views, models, count, *, workspace, options):
         searches.append(pictures)
         return starts(places[: search_rounds.SEARCHED_AGAIN] if len(searches) == 1 else places)
 

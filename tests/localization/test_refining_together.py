@@ -12,6 +12,7 @@ from smartview_jax.evaluation import mean_nees, nees
 from smartview_jax.geometry import host_exponentials, host_logarithms
 from smartview_jax.localization import Localization, judge, refine_pose
 from smartview_jax.localization.judging.candidates import Prepared
+from smartview_jax.localization.judging.evidence import evidence_of
 from smartview_jax.localization.judging.scene import Scene
 from smartview_jax.localization.refining_together import refined_together
 from smartview_jax.modeling import CalibrationUncertainty
@@ -43,9 +44,8 @@ def alone(scene, start, uncertainty, prepared):
     model = prepared.model
     refined = refine_pose(start, model, prepared.fine, scene.views, scene.lookup, uncertainty)
     lines = scene.lines(refined.world_from_object, prepared.fine)
-    middle = prepared.middle_at(refined.world_from_object)
-    evidence = scene.evidence(lines, prepared.fine, middle)
-    verdict = judge(evidence, 1, np.inf)._replace(decision="accepted")
+    found = evidence_of(lines, prepared.fine, is_alone=False)
+    verdict = judge(found, 1, np.inf)._replace(decision="accepted")
     return Localization(model, 0, refined, verdict, ())
 
 

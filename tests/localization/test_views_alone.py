@@ -8,8 +8,8 @@ from placed_box import MIDDLE, MODEL, POSE, error_of
 from smartview_jax.localization import corrected_rig
 from smartview_jax.localization.edges.edge_lookup import checked_triangles
 from smartview_jax.localization.judging.candidates import Prepared, Query
+from smartview_jax.localization.judging.options import DEFAULT_OPTIONS
 from smartview_jax.localization.judging.scene import Scene
-from smartview_jax.localization.judging.verdict import DEFAULT_OPTIONS
 from smartview_jax.modeling import CalibrationUncertainty
 
 VIEWS = seen_views(MIDDLE)

@@ -1,6 +1,7 @@
 """Small data sets are padded to few sizes: they share programs, and the answers stay the same."""
 
 import dataclasses
+import time
 
 import jax
 import numpy as np
@@ -139,3 +140,18 @@ def test_batches_give_every_row_its_result_by_one_program(count):
     np.testing.assert_array_equal(sums, rows.sum(axis=1))
     np.testing.assert_array_equal(doubled, 2.0 * rows)
     assert shapes == {(4, 2)}
+
+
+def test_batches_that_run_side_by_side_keep_their_order():
+    """Later ones are done first; the first is alone, because it compiles the program."""
+    done = []
+
+    def program(batch):
+        time.sleep(0.02 if batch[0] == 2.0 else 0.0)
+        done.append(int(batch[0]))
+        return batch
+
+    rows = np.arange(8.0)
+    np.testing.assert_array_equal(in_batches(program, rows, 2, threads=3), rows)
+    assert done[0] == 0
+    assert done[-1] == 2

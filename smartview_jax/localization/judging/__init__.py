@@ -5,8 +5,6 @@ from .candidates import Prepared as Prepared
 from .candidates import Query as Query
 from .candidates import converged_candidates as converged_candidates
 from .candidates import measured_candidates as measured_candidates
-from .evidence import FOUND_PROBABILITY as FOUND_PROBABILITY
-from .evidence import TYPICAL_CHANCE as TYPICAL_CHANCE
 from .evidence import evidence_of as evidence_of
 from .judging import MAX_REJECTED as MAX_REJECTED
 from .judging import judged as judged
@@ -14,9 +12,9 @@ from .judging import scene_without as scene_without
 from .localization import Localization as Localization
 from .localization import Localizations as Localizations
 from .localization import model_name as model_name
+from .options import DEFAULT_OPTIONS as DEFAULT_OPTIONS
+from .options import VerdictOptions as VerdictOptions
 from .scene import Claim as Claim
 from .scene import Scene as Scene
-from .verdict import DEFAULT_OPTIONS as DEFAULT_OPTIONS
-from .verdict import VerdictOptions as VerdictOptions
 from .verdict import judge as judge
 from .verdict import relative_std as relative_std

@@ -12,10 +12,10 @@ from ..distinct_poses import pose_distances
 from ..edges import EDGE_SAMPLES, Wireframe
 from ..refining import FIT_SAMPLES, lengths_of_poses, poses_on_edges
 from ..rig_noise import ViewDisagreement
-from ..search import Hypothesis
+from ..search import DEFAULT_SEARCH_OPTIONS, Hypothesis, SearchOptions
 from .evidence import log_likelihood_of
+from .options import VerdictOptions
 from .scene import Scene
-from .verdict import VerdictOptions
 
 SAME_POSE = 0.04
 """Largest RMS vertex distance of two poses that count as the same, over the model's extent."""
@@ -53,6 +53,7 @@ class Query(NamedTuple):
         workspace: two corners of a box in the world that contains the objects, m; None for
             anywhere.
         disagreement: of the views as given, which were corrected by it; None for given views.
+        search: limits of the search.
     """
 
     models: Sequence[Prepared]
@@ -60,6 +61,7 @@ class Query(NamedTuple):
     options: VerdictOptions
     workspace: Float[np.ndarray, "2 3"] | None = None
     disagreement: ViewDisagreement | None = None
+    search: SearchOptions = DEFAULT_SEARCH_OPTIONS
 
 
 class Candidate(NamedTuple):
@@ -69,37 +71,47 @@ class Candidate(NamedTuple):
         model: index of the model.
         pose: world_from_object.
         visible_px, explained_px: visible edge length, and the part of it that is explained.
+        log_likelihood: log-likelihood ratio of the object to clutter.
     """
 
     model: int
     pose: Float[np.ndarray, "4 4"]
     visible_px: float
     explained_px: float
+    log_likelihood: float
+
+    @classmethod
+    def measured(
+        cls,
+        model: int,
+        pose: Float[np.ndarray, "4 4"],
+        lengths: Float[np.ndarray, "2"],
+        options: VerdictOptions,
+    ) -> "Candidate":
+        """Return a pose with its visible and its explained length, px."""
+        visible, explained = map(float, lengths)
+        share = explained / max(visible, 1.0)
+        return cls(model, pose, visible, explained, log_likelihood_of(share, visible, options))
 
     @property
     def explained(self) -> float:
         """The explained share of the visible edge length."""
         return self.explained_px / max(self.visible_px, 1.0)
 
-    @property
-    def log_likelihood(self) -> float:
-        """The log-likelihood ratio of the object to clutter."""
-        return log_likelihood_of(self.explained, self.visible_px)
-
 
 def converged_candidates(
-    scene: Scene, prepared: Sequence[Prepared], hypotheses: Sequence[Hypothesis]
+    scene: Scene, query: Query, hypotheses: Sequence[Hypothesis]
 ) -> list[Candidate]:
     """Return hypotheses refined on the edges, without duplicates, the likeliest first."""
     candidates = []
-    for index, entry in enumerate(prepared):
+    for index, entry in enumerate(query.models):
         starts = [h.world_from_object for h in hypotheses if h.model == index]
         if not starts:
             continue
         poses, lengths = poses_on_edges(entry.coarse, scene.views, scene.lookup, np.stack(starts))
         refined = [
-            Candidate(index, pose, *map(float, lengths_of_pose))
-            for pose, lengths_of_pose in zip(poses, lengths, strict=True)
+            Candidate.measured(index, pose, of_pose, query.options)
+            for pose, of_pose in zip(poses, lengths, strict=True)
         ]
         kept: list[Candidate] = []
         for candidate in sorted(refined, key=lambda c: -c.explained):
@@ -115,16 +127,16 @@ def converged_candidates(
 
 
 def measured_candidates(
-    scene: Scene, prepared: Sequence[Prepared], candidates: Sequence[Candidate]
+    scene: Scene, query: Query, poses: Sequence[tuple[int, Float[np.ndarray, "4 4"]]]
 ) -> list[Candidate]:
-    """Return candidates remeasured on the edge points that are still free, the likeliest first."""
+    """Return poses of models measured on the edge points that are still free, likeliest first."""
     measured = []
-    for index, entry in enumerate(prepared):
-        poses = [c.pose for c in candidates if c.model == index]
-        if poses:
-            lengths = lengths_of_poses(entry.coarse, scene.views, scene.lookup, np.stack(poses))
+    for index, entry in enumerate(query.models):
+        own = [pose for model, pose in poses if model == index]
+        if own:
+            lengths = lengths_of_poses(entry.coarse, scene.views, scene.lookup, np.stack(own))
             measured += [
-                Candidate(index, pose, *map(float, lengths_of_pose))
-                for pose, lengths_of_pose in zip(poses, lengths, strict=True)
+                Candidate.measured(index, pose, of_pose, query.options)
+                for pose, of_pose in zip(own, lengths, strict=True)
             ]
     return sorted(measured, key=lambda c: -c.log_likelihood)

@@ -18,6 +18,7 @@ from ..edges import EXPLAINED_DISTANCE, HIDING_MARGIN, EdgeLines, Wireframe
 from ..refining import samples_in_views
 from .candidates import Prepared
 from .evidence import log_chance_of_exact_edges, log_likelihood_of, log_odds_of
+from .options import DEFAULT_OPTIONS, VerdictOptions
 
 
 def log_odds_to_shadow(
@@ -27,6 +28,7 @@ def log_odds_to_shadow(
     pose: Float[np.ndarray, "4 4"],
     others: Sequence[Float[np.ndarray, "4 4"]],
     tolerance: float = 0.0,
+    options: VerdictOptions = DEFAULT_OPTIONS,
 ) -> float | None:
     """Return how much likelier an object is than a shadow of an equal one, as a log-odds.
 
@@ -40,6 +42,7 @@ def log_odds_to_shadow(
         pose: world_from_object.
         others: world_from_object of equal objects that are known.
         tolerance: error of the poses, m, as `overlap_tolerance` returns.
+        options: probabilities of edge points.
 
     Returns:
         natural logarithm; None where no other one casts such a shadow.
@@ -61,7 +64,7 @@ def log_odds_to_shadow(
             if light @ plane.normal < 0.0 and heights.min() > -slack:
                 curve = _shadow_on(entry.fine, face, light)
                 pixels = project_points(views, host_transformed(pose, curve))
-                odds.append(_log_odds_of_other_edges(lines, entry.fine, face, pixels))
+                odds.append(_log_odds_of_other_edges(lines, entry.fine, face, pixels, options))
     return min(odds, default=None)
 
 
@@ -90,7 +93,11 @@ def _shadow_on(
 
 
 def _log_odds_of_other_edges(
-    lines: EdgeLines, wireframe: Wireframe, face: int, shadow: Float[np.ndarray, "views n 2"]
+    lines: EdgeLines,
+    wireframe: Wireframe,
+    face: int,
+    shadow: Float[np.ndarray, "views n 2"],
+    options: VerdictOptions,
 ) -> float:
     """Return the log-odds of an object to clutter by the edges that a shadow does not have.
 
@@ -99,6 +106,7 @@ def _log_odds_of_other_edges(
         wireframe: of the model.
         face: index of the face.
         shadow: pixels of the shadow's outline.
+        options: probabilities of edge points.
     """
     on_face = np.asarray(wireframe.edge_faces)[np.asarray(wireframe.sample_edges), face]
     on_face &= np.asarray(wireframe.sample_chains) >= 0
@@ -106,7 +114,7 @@ def _log_odds_of_other_edges(
     is_other = ~on_face & ~(has_edge & _near(lines, shadow))
     visible_px = float((lines.sample_px * is_other).sum())
     explained_px = float((lines.sample_px * (is_other & has_edge)).sum())
-    likelihood = log_likelihood_of(explained_px / max(visible_px, 1.0), visible_px)
+    likelihood = log_likelihood_of(explained_px / max(visible_px, 1.0), visible_px, options)
     curves = np.broadcast_to(samples_in_views(lines, wireframe)[1], has_edge.shape)
     offsets = [
         lines.offsets[view, curve]

@@ -9,6 +9,7 @@ from scipy.special import binom, gammaln
 from ..edges import EXPLAINED_DISTANCE, INDEPENDENT_LENGTH, MIN_POINT_SIGMA, EdgeLines, Wireframe
 from ..rig_noise import ViewDisagreement
 from .moved_faces import MovedFace
+from .options import DEFAULT_OPTIONS, VerdictOptions
 
 MIN_PARALLAX = float(np.deg2rad(2.0))
 """Smallest angle between the viewing directions of two pictures of an object, rad, from which their
@@ -16,17 +17,6 @@ parallax determines its distance, and so its size."""
 
 MIN_VIEW_PX = 60.0
 """Smallest visible edge length, px, for a view to be judged by its own share."""
-
-FOUND_PROBABILITY = 0.9
-"""Probability that a piece of a truly visible edge has an edge point; the rest is lost to shadows
-and to equal brightness on both sides."""
-
-TYPICAL_CHANCE = 0.2
-"""Share of an edge that clutter explains.
-
-Shares measured in the pictures, with the model displaced and fitted elsewhere or by the density of
-edge points, tell right poses from wrong ones no better.
-"""
 
 MIN_EXACT_EDGES = 4
 """Smallest number of edges for which the probability of a chance fit is computed."""
@@ -82,6 +72,7 @@ def evidence_of(
     wireframe: Wireframe,
     is_alone: bool,
     absorbed: float = 0.0,
+    options: VerdictOptions = DEFAULT_OPTIONS,
 ) -> Evidence:
     """Return the evidence of the pictures for and against a pose.
 
@@ -91,6 +82,7 @@ def evidence_of(
         is_alone: whether only one picture shows it, or several from one direction.
         absorbed: number of edge measurements absorbed by the calibration errors with which the
             views are corrected.
+        options: probabilities of edge points.
     """
     visible, explained = lines.visible_px.sum(axis=1), lines.explained_px.sum(axis=1)
     in_view = np.where(visible >= MIN_VIEW_PX, explained / np.maximum(visible, 1.0), np.nan)
@@ -109,7 +101,7 @@ def evidence_of(
         float(np.sqrt((distances**2).mean())) if len(distances) else np.inf,
         float(lines.in_picture.max()),
         total / max(total + float(lines.behind_px.sum()), 1.0),
-        log_likelihood_of(share, total),
+        log_likelihood_of(share, total, options),
         log_chance_of_exact_edges(distances, absorbed),
         tolerance_px=float(np.sqrt((tolerances**2).mean())) if len(tolerances) else 0.0,
     )
@@ -129,21 +121,22 @@ def are_one_direction(
     return bool((rays @ rays.T).min() > np.cos(MIN_PARALLAX))
 
 
-def log_likelihood_of(share: float, visible_px: float) -> float:
+def log_likelihood_of(share: float, visible_px: float, options: VerdictOptions) -> float:
     """Return the log-likelihood ratio of found and missing edge length, object to clutter."""
     # Each piece is found with probability q if the object is there, and with p in clutter:
     #   l = n (x log(q / p) + (1 - x) log((1 - q) / (1 - p)))
-    p, q = TYPICAL_CHANCE, FOUND_PROBABILITY
+    p, q = options.chance_probability, options.found_probability
     pieces = visible_px / INDEPENDENT_LENGTH
     return pieces * (share * np.log(q / p) + (1.0 - share) * np.log((1.0 - q) / (1.0 - p)))
 
 
-def log_likelihood_of_found(found_px: float) -> float:
+def log_likelihood_of_found(found_px: float, options: VerdictOptions) -> float:
     """Return the log-likelihood ratio of found edge length, object to clutter.
 
     Missing length does not count, because something may hide it.
     """
-    return found_px / INDEPENDENT_LENGTH * float(np.log(FOUND_PROBABILITY / TYPICAL_CHANCE))
+    odds = options.found_probability / options.chance_probability
+    return found_px / INDEPENDENT_LENGTH * float(np.log(odds))
 
 
 def log_odds_of(log_likelihood: float, log_exactness: float) -> float:

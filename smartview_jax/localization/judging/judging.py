@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..distinct_poses import pose_distances, surface_sigma
-from ..edges import EdgeLines
+from ..edges import EdgeLines, Wireframe
 from ..refining import RefinedPose, UndeterminedPoseError, refine_pose
 from ..solid_overlap import TOLERATED_SIGMAS, in_one_place, middles_are_near, overlap_tolerance
 from .candidates import Candidate, Prepared, Query, measured_candidates
 from .cast_shadows import log_odds_to_shadow
-from .evidence import Evidence
+from .evidence import Evidence, are_one_direction, evidence_of
 from .localization import Localization, Rival
 from .moved_faces import likeliest_moved_face
 from .scene import Scene, explained_among
@@ -71,7 +71,12 @@ def judged(
         return judgement
     free = scene_without(scene, query.models, accepted)
     judging = _Judging(free, query, tested)
-    return judging.in_order(measured_candidates(free, query.models, candidates), accepted)
+    return judging.in_order(_remeasured(free, query, candidates), accepted)
+
+
+def _remeasured(scene: Scene, query: Query, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Return candidates measured again on the edge points that are free now."""
+    return measured_candidates(scene, query, [(c.model, c.pose) for c in candidates])
 
 
 def scene_without(
@@ -94,7 +99,7 @@ class _Judging:
     """The verdicts on poses in a scene."""
 
     def __init__(self, scene: Scene, query: Query, tested: int):
-        self.scene, self._tested = scene, tested
+        self.scene, self._query, self._tested = scene, query, tested
         self._prepared, self._uncertainty = query.models, query.uncertainty
         self._options, self._disagreement = query.options, query.disagreement
         self._accepted: list[Localization] = []
@@ -126,8 +131,8 @@ class _Judging:
             if waiting and obj.verdict.decision != "rejected":
                 # Its edge points are no evidence for the others, which are measured again without
                 # them.
-                self.take(obj)
-                waiting = measured_candidates(self.scene, self._prepared, waiting)
+                _take(self.scene, self._prepared, obj)
+                waiting = _remeasured(self.scene, self._query, waiting)
         unjudged = [c for c in waiting if c.explained >= self._options.rejected_share]
         return Judgement(results, unjudged)
 
@@ -144,15 +149,11 @@ class _Judging:
         pose = refined.world_from_object
         return in_one_place(entry.model, pose, other.model, candidate.pose, tolerance)
 
-    def take(self, obj: Localization) -> None:
-        """Take away the edge points that an object explains; an accepted one then occludes."""
-        _take(self.scene, self._prepared, obj)
-
     def is_rejected_unrefined(self, candidate: Candidate) -> bool:
         """Return whether a pose is rejected without refinement, whatever its rivals."""
         entry, pose = self._prepared[candidate.model], candidate.pose
         lines = self.scene.lines(pose, entry.coarse)
-        evidence = self.scene.evidence(lines, entry.coarse, entry.middle_at(pose))
+        evidence = self._evidence(lines, entry, pose, entry.coarse)
         verdict = judge(evidence, self._tested, np.inf, options=self._options)
         return verdict.decision == "rejected"
 
@@ -169,8 +170,8 @@ class _Judging:
         if result is None or result.verdict.margin > -self._options.min_margin:
             return result
         rival = result.rivals[0]
-        pose = Candidate(rival.model, rival.world_from_object, 0.0, 0.0)
-        (second,) = measured_candidates(self.scene, self._prepared, [pose])
+        pose = rival.model, rival.world_from_object
+        (second,) = measured_candidates(self.scene, self._query, [pose])
         better = self.localization(second, [first, *others])
         is_better = better is not None and better.verdict.margin > result.verdict.margin
         return better if is_better else result
@@ -178,30 +179,23 @@ class _Judging:
     def localization(self, best: Candidate, others: Sequence[Candidate]) -> Localization | None:
         """Return the verdict on a candidate; None if too few edges determine its pose."""
         entry, scene = self._prepared[best.model], self.scene
-        try:
-            refined = refine_pose(
-                best.pose, entry.model, entry.fine, scene.views, scene.lookup, self._uncertainty
-            )
+        refined = self._refined(best.model, best.pose)
         # Too few edges are left after others were taken away: there is nothing to report.
-        except UndeterminedPoseError:
+        if refined is None:
             return None
         pose = refined.world_from_object
-        lines, middle = scene.lines(pose, entry.fine), entry.middle_at(pose)
-        evidence = scene.evidence(lines, entry.fine, middle)
+        lines = scene.lines(pose, entry.fine)
+        evidence = self._evidence(lines, entry, pose, entry.fine)
         rivals = self._rivals(best, refined, others)
         rivals = self._distinct(best, pose, evidence, rivals)
         margin = evidence.log_odds - rivals[0].log_odds if rivals else np.inf
-        name = ""
-        if rivals:
-            k = rivals[0].model
-            other = repr(self._prepared[k].model.name) if self._prepared[k].model.name else str(k)
-            name = "another pose" if k == best.model else f"the model {other}"
+        name = self._words_for(rivals[0], best) if rivals else ""
         views = scene.views
         # Rivals are not corrected, so the margin above compares uncorrected evidence.
         if len(refined.calibration_error):
             views = self._uncertainty.corrected(views, refined.calibration_error)
             lines = scene.lines(pose, entry.fine, views)
-            evidence = scene.evidence(lines, entry.fine, middle, refined.absorbed)
+            evidence = self._evidence(lines, entry, pose, entry.fine, refined.absorbed)
         uncertain = relative_std(entry.model, refined.covariance)
 
         def verdict_on(evidence: Evidence) -> Verdict:
@@ -223,6 +217,36 @@ class _Judging:
         scale = scene.pictures[0].scale
         return Localization(entry.model, best.model, refined, verdict, tuple(rivals), scale)
 
+    def _refined(self, model: int, pose: Float[np.ndarray, "4 4"]) -> RefinedPose | None:
+        """Return the refined pose of a model; None if too few edges determine it."""
+        entry, scene = self._prepared[model], self.scene
+        try:
+            return refine_pose(
+                pose, entry.model, entry.fine, scene.views, scene.lookup, self._uncertainty
+            )
+        except UndeterminedPoseError:
+            return None
+
+    def _words_for(self, rival: Rival, best: Candidate) -> str:
+        """Return the name of a candidate's rival in messages."""
+        if rival.model == best.model:
+            return "another pose"
+        name = self._prepared[rival.model].model.name
+        return f"the model {name!r}" if name else f"the model {rival.model}"
+
+    def _evidence(
+        self,
+        lines: EdgeLines,
+        entry: Prepared,
+        pose: Float[np.ndarray, "4 4"],
+        wireframe: Wireframe,
+        absorbed: float = 0.0,
+    ) -> Evidence:
+        """Return the evidence of the edges of a model's wireframe that were measured at a pose."""
+        poses = self.scene.views.camera_from_world
+        is_alone = are_one_direction(poses, entry.middle_at(pose))
+        return evidence_of(lines, wireframe, is_alone, absorbed, self._options)
+
     def _shadow_odds(self, model: int, refined: RefinedPose, lines: EdgeLines) -> float | None:
         """Return the log-odds of an object to the shadow of an equal one; None without any."""
         entry = self._prepared[model]
@@ -235,6 +259,7 @@ class _Judging:
             refined.world_from_object,
             [each.world_from_object for each in equal],
             overlap_tolerance(sigmas[0], max(sigmas[1:], default=0.0)),
+            self._options,
         )
 
     def _rivals(
@@ -297,7 +322,7 @@ class _Judging:
         """Return a pose as a rival, measured with all samples."""
         entry = self._prepared[model]
         lines = self.scene.lines(pose, entry.fine)
-        evidence = self.scene.evidence(lines, entry.fine, entry.middle_at(pose))
+        evidence = self._evidence(lines, entry, pose, entry.fine)
         return Rival(model, pose, evidence.log_likelihood, evidence.log_exactness)
 
     def _distinct(
@@ -338,17 +363,8 @@ class _Judging:
 
     def _fitted(self, rival: Rival) -> Rival:
         """Return a rival at its refined pose; unchanged where that explains less or fails."""
-        entry, scene = self._prepared[rival.model], self.scene
-        try:
-            refined = refine_pose(
-                rival.world_from_object,
-                entry.model,
-                entry.fine,
-                scene.views,
-                scene.lookup,
-                self._uncertainty,
-            )
-        except UndeterminedPoseError:
+        refined = self._refined(rival.model, rival.world_from_object)
+        if refined is None:
             return rival
         fitted = self._as_rival(rival.model, refined.world_from_object)
         # A fit that leaves edges out is no evidence against the pose that has them.

@@ -11,7 +11,6 @@ from ...features import PictureEvidence, evidence_of_points
 from ...modeling import SeenViews
 from ..edges import EXPLAINED_DISTANCE, DepthBuffers, EdgeLines, EdgeLookup, Wireframe
 from ..refining import explained_edge_points, measured_lines
-from .evidence import Evidence, are_one_direction, evidence_of
 
 
 class Claim(NamedTuple):
@@ -132,17 +131,6 @@ class Scene:
         """Return the free edge points along the edges at a pose, also in corrected views."""
         views = self.views if views is None else views
         return measured_lines(wireframe, views, self.lookup, pose, EXPLAINED_DISTANCE)
-
-    def evidence(
-        self,
-        lines: EdgeLines,
-        wireframe: Wireframe,
-        middle: Float[np.ndarray, "3"],
-        absorbed: float = 0.0,
-    ) -> Evidence:
-        """Return the evidence of `lines` for their pose; `middle` is the object's, in the world."""
-        is_alone = are_one_direction(self.views.camera_from_world, middle)
-        return evidence_of(lines, wireframe, is_alone, absorbed)
 
 
 def explained_among(lines: EdgeLines, usable: Sequence[Bool[np.ndarray, "_"]]) -> float:

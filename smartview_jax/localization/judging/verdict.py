@@ -17,7 +17,6 @@ The views have to agree about all objects (`rig_noise`), and the pose has to be 
 `VerdictOptions` has the limits.
 """
 
-import dataclasses
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -28,96 +27,7 @@ from ..distinct_poses import surface_sigma
 from ..rig_noise import ViewDisagreement
 from .evidence import Evidence, log_likelihood_of_found
 from .moved_faces import MovedFace
-
-
-@dataclasses.dataclass(frozen=True)
-class VerdictOptions:
-    """The limits by which a pose is accepted, rejected or left open.
-
-    The default values lie between what right and wrong poses had on the package's rendered scenes
-    and on real pictures of boxes and cubes. On pictures of another kind, print the `evidence` of
-    poses that you know to be right or wrong, and set the limits between them.
-
-    Attributes:
-        rejected_share: explained share below which a pose is rejected.
-        accepted_share: explained share above which a pose may be accepted that does not fit so
-            exactly that clutter can be excluded. The outline of another object and the print on it
-            matched 82 % of a model's edges, and up to 91 % in one picture, which leaves the scale
-            free.
-        hidden_share: explained share above which a pose may be accepted if its other edges are
-            occluded. Clutter must then be excluded, and the model needs faces, so that other
-            dimensions can be tested.
-        certain_edge_rms: largest RMS distance of the measured edges from the model, px, for which
-            clutter can be excluded.
-        certain_log_exactness: largest decimal logarithm of the chance of so exact a fit for which
-            clutter can be excluded. Right poses of partly occluded objects in single pictures had
-            -9.7 or less; poses on other solids and on print -5.1 to -5.6, and once -10.1.
-        complete_share: explained share above which nothing needs to be occluded, and moved faces
-            are not tested.
-        max_log_moved: largest log-likelihood ratio of the solid with a moved face to the model.
-            About 6 of it are for the hundreds of distances that are tried. Solids with other
-            dimensions that fit exactly had 14.8 or more, occluded right ones 10.5 or less.
-        accepted_view_share: smallest explained share in each counted view.
-        min_good_views: number of views that must show the object with at least that share; all, if
-            there are fewer. In a further view the object may be occluded.
-        min_edges: smallest number of measured edges, all views together, of a pose that is not
-            rejected. Five edges have ten numbers, four more than a pose.
-        min_in_picture: smallest share of the vertices within the picture, in at least one view.
-        min_in_front: smallest share of the edges that no other object occludes.
-        max_log_false_alarms: largest decimal logarithm of the expected number of false alarms.
-        max_edge_rms: largest RMS distance of the measured edges from the model, px, beyond the
-            tolerance of the model.
-        alone_edge_rms: the same for an object shown from one direction only, where scale and tilt
-            are free: boxes of other sizes were fitted to 0.55 px or more, right ones to 0.50 or
-            less.
-        max_relative_std: largest standard deviation of a vertex, over the object's extent.
-        min_margin: smallest log-likelihood ratio to the best rival, including exactness: ln(100)
-            for each of some thirty poses that are examined. A pose that is less likely than a
-            shadow by as much is rejected.
-        min_agreement: smallest posterior probability of camera poses that are as exact as stated.
-        tolerated_arms: share of arms whose poses are off by less than the tolerated disagreement of
-            the views (`RobotPrior`); it is included in the covariance of the pose.
-
-    Raises:
-        ValueError: a limit that is not a finite number, named.
-
-    For example:
-
-        >>> strict = sv.localization.VerdictOptions(accepted_share=0.95, max_relative_std=0.01)
-        >>> strict.min_margin
-        8.0
-    """
-
-    rejected_share: float = 0.4
-    accepted_share: float = 0.88
-    hidden_share: float = 0.5
-    certain_edge_rms: float = 0.5
-    certain_log_exactness: float = -9.0
-    complete_share: float = 0.9
-    max_log_moved: float = 12.0
-    accepted_view_share: float = 0.45
-    min_good_views: int = 2
-    min_edges: int = 5
-    min_in_picture: float = 0.7
-    min_in_front: float = 0.3
-    max_log_false_alarms: float = -2.0
-    max_edge_rms: float = 1.2
-    alone_edge_rms: float = 0.53
-    max_relative_std: float = 0.04
-    min_margin: float = 8.0
-    min_agreement: float = 1e-3
-    tolerated_arms: float = 0.9
-
-    def __post_init__(self) -> None:
-        """Refuse limits that are not numbers: a comparison with NaN would accept any pose."""
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if not np.isfinite(value):
-                raise ValueError(f"{field.name}: expected a finite number, found {value}")
-
-
-DEFAULT_OPTIONS = VerdictOptions()
-"""The limits that are used where none are given."""
+from .options import DEFAULT_OPTIONS, VerdictOptions
 
 
 class Verdict(NamedTuple):
@@ -241,7 +151,7 @@ def _weaknesses(
         doubts.append(f"its edges are {rms:.2f} px (RMS) from the picture edges{more}")
     if uncertainty > options.max_relative_std:
         doubts.append(f"its pose is uncertain by {uncertainty:.0%} of its size")
-    if evidence.moved is not None and _log_moved(evidence.moved) > options.max_log_moved:
+    if evidence.moved is not None and _log_moved(evidence.moved, options) > options.max_log_moved:
         face, distance = evidence.moved.face, 1e3 * evidence.moved.distance
         # The distance is known to one step only.
         length = f"{abs(distance):.{0 if abs(distance) >= 1.0 else 1}f} mm"
@@ -279,6 +189,6 @@ def may_be_another_size(evidence: Evidence, options: VerdictOptions) -> bool:
     return evidence.explained < options.complete_share and evidence.has_faces
 
 
-def _log_moved(moved: MovedFace) -> float:
+def _log_moved(moved: MovedFace, options: VerdictOptions) -> float:
     """Return the log-likelihood ratio of the solid with the moved face to the model."""
-    return log_likelihood_of_found(moved.gained_px)
+    return log_likelihood_of_found(moved.gained_px, options)

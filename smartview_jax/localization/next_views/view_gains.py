@@ -32,11 +32,14 @@ from ..edges import (
     predict_view,
     with_outline,
 )
-from ..judging import DEFAULT_OPTIONS, FOUND_PROBABILITY, TYPICAL_CHANCE, Localization
+from ..judging import DEFAULT_OPTIONS, Localization
 from .occluders import Occluder, hidden_in_views, leading, occluders_around
 
 SAME_EDGE_DISTANCE, SAME_EDGE_COSINE = 4.0, 0.9
 """Distance, px, and cosine of directions within which edges of two hypotheses coincide."""
+
+FOUND, CHANCE = DEFAULT_OPTIONS.found_probability, DEFAULT_OPTIONS.chance_probability
+"""Probabilities of an edge point where a piece of an edge is, and where there is clutter."""
 
 ENOUGH_MARGIN = 3.0 * DEFAULT_OPTIONS.min_margin
 """Log-likelihood ratio above which a rival counts as ruled out."""
@@ -241,7 +244,7 @@ def _against_nothing(prediction: _Predicted) -> Float[np.ndarray, "views"]:
     return (
         prediction.visible_px.sum(axis=1)
         / INDEPENDENT_LENGTH
-        * _information_of_piece(FOUND_PROBABILITY, TYPICAL_CHANCE)
+        * _information_of_piece(FOUND, CHANCE)
     )
 
 
@@ -260,8 +263,8 @@ def _difference(first: _Predicted, second: _Predicted) -> Float[np.ndarray, "vie
         np.where(_alike(a, b), 0.0, a.visible_px).sum(axis=1) / INDEPENDENT_LENGTH
         for a, b in ((first, second), (second, first))
     )
-    p, q = FOUND_PROBABILITY, TYPICAL_CHANCE
-    return only_first * _information_of_piece(p, q) + only_second * _information_of_piece(q, p)
+    found_first = only_first * _information_of_piece(FOUND, CHANCE)
+    return found_first + only_second * _information_of_piece(CHANCE, FOUND)
 
 
 def _alike(first: _Predicted, second: _Predicted) -> Bool[np.ndarray, "views S"]:

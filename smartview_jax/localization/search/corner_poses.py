@@ -213,7 +213,7 @@ def _faces_camera(
     R, t = camera_from_object[..., :3, :3], camera_from_object[..., :3, 3]
     centres = -(np.swapaxes(R, -1, -2) @ t[..., None])[..., 0]
     with np.errstate(invalid="ignore"):
-        return centres @ normals.T > (normals * points).sum(axis=1)
+        return np.asarray(centres @ normals.T > (normals * points).sum(axis=1))
 
 
 class Junctions(NamedTuple):
@@ -308,7 +308,8 @@ def _visible_vertices(
     # Padded faces have a zero normal and face nothing.
     facing = _faces_camera(poses, normals, points)
     owners = np.asarray(wireframe.vertex_faces)[np.asarray(wireframe.vertex_mask)]
-    return (facing[:, None] & owners).any(axis=2) | ~owners.any(axis=1)
+    is_seen = (facing[:, None] & owners).any(axis=2) | ~owners.any(axis=1)
+    return np.asarray(is_seen)
 
 
 def _extents(

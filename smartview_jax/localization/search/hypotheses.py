@@ -29,43 +29,15 @@ from .corner_poses import (
     poses_from_triples,
 )
 from .ellipse_poses import (
-    DEFAULT_ROUND_OPTIONS,
-    RoundOptions,
     SeenEllipses,
     poses_from_circles,
     poses_from_outlines,
     seen_ellipses,
 )
+from .options import DEFAULT_SEARCH_OPTIONS, SearchOptions
 from .polishing import NARROW_GATES, WIDE_GATES, polished_poses
-from .scoring import CHANCE_SUPPORT, PoseScores, SceneMaps, score_poses
+from .scoring import SceneMaps, score_poses
 from .stereo_edges import SpaceEdges, poses_from_edges, stereo_edges
-
-MAX_PATHS_ALONE, MAX_PATHS = 300, 40
-"""Largest number of paths of a picture: of a single picture, and of each of several."""
-
-MAX_HYPOTHESES = 24
-"""Largest number of hypotheses of each model by default; as many are refined on the edges at a
-time."""
-
-WIDENED = 32
-"""Number of the best proposals of a single picture near which distant junctions are searched."""
-
-WORKSPACE_SLACK = 5e-3
-"""Distance by which a proposal may leave the workspace, m: proposals are wrong by some mm."""
-
-COARSE_SAMPLES, COARSE_GATE = 24, 8.0
-"""Samples of the wireframe for the first scores, and their gate, px; proposals are some px off."""
-
-FINE_GATE, FINE_GATE_ALONE = 4.0, 2.0
-"""Gates of the scores of polished poses, px, in several pictures and in one. A single picture
-allows more wrong poses, whose edges all lie within some px of others, but not within one."""
-
-COMPARED, FINER_SCORED, POLISHED = 1024, 192, 64
-"""Numbers of the best proposals: compared with one another, to remove near duplicates; scored again
-with all samples; and polished."""
-
-ALL_HYPOTHESES = 4 * POLISHED
-"""Number of all polished poses: from corners and from distant junctions, each with two gates."""
 
 
 class Hypothesis(NamedTuple):
@@ -89,10 +61,10 @@ def find_hypotheses(
     evidence: Sequence[PictureEvidence],
     views: SeenViews,
     models: Sequence[ObjectModel],
-    count: int = MAX_HYPOTHESES,
+    count: int | None = None,
     *,
     workspace: Float[np.ndarray, "2 3"] | None = None,
-    round_options: RoundOptions = DEFAULT_ROUND_OPTIONS,
+    options: SearchOptions = DEFAULT_SEARCH_OPTIONS,
 ) -> list[Hypothesis]:
     """Return the poses at which objects may be, the best hypotheses first.
 
@@ -101,11 +73,11 @@ def find_hypotheses(
         views: the camera's poses at the pictures; one is enough, two or more determine far more.
         models: models of the objects that may be there. A known symmetry keeps equal poses from
             being listed several times.
-        count: largest number of hypotheses of each model.
+        count: largest number of hypotheses of each model; by default as the options say.
         workspace: two opposite corners of a box in the world, m, that contains the objects; its
             lower side is then the table or the bottom of the bin. Vertices may be outside by
-            `WORKSPACE_SLACK`. None for anywhere.
-        round_options: of the search for parts without corners.
+            `SearchOptions.workspace_slack`. None for anywhere.
+        options: limits of the search.
 
     Raises:
         ValueError: no pictures or no models, numbers of pictures and poses that differ, a model
@@ -114,31 +86,34 @@ def find_hypotheses(
     if not len(models):
         raise ValueError("models: expected at least one, found none")
     box = None if workspace is None else checked_box(workspace)
+    count = options.hypotheses if count is None else count
     evidence, views = at_one_scale(evidence, views)
     have_corners = not all(is_round(model) or is_smooth(model) for model in models)
     # The proposals of the pictures are the same for all models.
     maps = SceneMaps.of(evidence, views)
-    paths, edges = _picture_proposals(evidence, views) if have_corners else ([], [])
+    paths, edges = _picture_proposals(evidence, views, options) if have_corners else ([], [])
     junctions = _junctions_alone(evidence, views) if have_corners else None
     hypotheses: list[Hypothesis] = []
     ellipses: list[SeenEllipses] = []
     for index, model in enumerate(models):
         if is_round(model) or is_smooth(model):
-            ellipses = ellipses or seen_ellipses(evidence, views, round_options)
+            ellipses = ellipses or seen_ellipses(evidence, views, options.round_parts)
             propose = poses_from_outlines if is_smooth(model) else poses_from_circles
-            proposals = propose(ellipses, model, round_options)
-            hypotheses += _round_hypotheses(proposals, model, index, count, box)
+            proposals = propose(ellipses, model, options.round_parts)
+            hypotheses += _round_hypotheses(proposals, model, index, count, box, options)
             continue
         proposed = [
             poses_from_paths(view_paths, model, camera_from_world)
             for view_paths, camera_from_world in zip(paths, views.camera_from_world, strict=True)
         ]
         proposed += [poses_from_edges(pair, model) for pair in edges]
-        best, scores = _best(maps, model, np.concatenate(proposed), junctions, count, box)
+        best, scores, shares = _best(
+            maps, model, np.concatenate(proposed), junctions, count, box, options
+        )
         hypotheses += [
             # Scores of different models compare: both are lengths in the same pictures.
             Hypothesis(index, pose, float(score), float(share))
-            for pose, score, share in zip(best, scores.surplus_px, scores.explained, strict=True)
+            for pose, score, share in zip(best, scores, shares, strict=True)
         ]
     return sorted(hypotheses, key=lambda h: -h.score)
 
@@ -170,6 +145,7 @@ def _round_hypotheses(
     index: int,
     count: int,
     box: Float[np.ndarray, "2 3"] | None,
+    options: SearchOptions,
 ) -> list[Hypothesis]:
     """Return the best hypotheses of a model without corners: ellipses are near enough as they are.
 
@@ -177,9 +153,9 @@ def _round_hypotheses(
     their visible and supported lengths.
     """
     poses, lengths = proposals
-    inside = _are_within(model, poses, box)
+    inside = _are_within(model, poses, box, options)
     poses, (visible, supported) = poses[inside], lengths[inside].T
-    scores = supported - CHANCE_SUPPORT * visible
+    scores = supported - options.chance_support * visible
     # The others have less on edges than chance would put there.
     order = np.argsort(-scores, kind="stable")[: int((scores > 0.0).sum())]
     kept = order[distinct_poses(model, poses[order], count)]
@@ -198,14 +174,14 @@ def checked_box(workspace: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "2 3"]
 
 
 def _picture_proposals(
-    evidence: Sequence[PictureEvidence], views: SeenViews
+    evidence: Sequence[PictureEvidence], views: SeenViews, options: SearchOptions
 ) -> tuple[list[PicturePaths], list[SpaceEdges]]:
     """Return the paths of each picture, and the edges in space of pairs of pictures."""
     planes, poses = [IdealPlane(camera) for camera in views.cameras], views.camera_from_world
     features = [picture.features for picture in evidence]
     # A single picture has only paths; of two pictures they help where edges in space fail. Their
     # number is limited such that all pictures together propose about as many as two do.
-    most = MAX_PATHS_ALONE if len(features) == 1 else 2 * MAX_PATHS // len(features)
+    most = options.paths_alone if len(features) == 1 else 2 * options.paths // len(features)
     paths = [picture_paths(*view, most) for view in zip(features, planes, strict=True)]
     pairs = list(combinations(range(len(features)), 2))
     # Of many pictures, pair each with the next: all take part, and the time grows linearly.
@@ -233,19 +209,20 @@ def _best(
     junctions: Junctions | None,
     count: int,
     box: Float[np.ndarray, "2 3"] | None,
-) -> tuple[Float[np.ndarray, "best 4 4"], PoseScores]:
-    """Return the best distinct poses after polishing, with their scores."""
+    options: SearchOptions,
+) -> tuple[Float[np.ndarray, "best 4 4"], Float[np.ndarray, "best"], Float[np.ndarray, "best"]]:
+    """Return the best distinct poses after polishing, their scores, and their explained shares."""
     # One sample of a short edge is enough: the scores are lengths, and no line is fitted.
-    coarse, fine = Wireframe.of(model, COARSE_SAMPLES, per_edge=1), Wireframe.of(model)
-    poses = _coarse_ranked(maps, coarse, model, poses, box)
+    coarse, fine = Wireframe.of(model, options.coarse_samples, per_edge=1), Wireframe.of(model)
+    poses = _coarse_ranked(maps, coarse, model, poses, box, options)
     # A distinct object is proposed a hundred times, which would leave no room for the others.
-    poses = poses[distinct_poses(model, poses, FINER_SCORED)]
+    poses = poses[distinct_poses(model, poses, options.finer_scored)]
     wider = np.zeros((0, 4, 4))
     if junctions is not None:
-        wider = poses_from_triples(junctions, fine, poses[:WIDENED])
-        wider = _coarse_ranked(maps, coarse, model, wider, box)
-        wider = wider[distinct_poses(model, wider, POLISHED)]
-    poses = _ranked(maps, fine, poses, COARSE_GATE)[0][:POLISHED]
+        wider = poses_from_triples(junctions, fine, poses[: options.widened])
+        wider = _coarse_ranked(maps, coarse, model, wider, box, options)
+        wider = wider[distinct_poses(model, wider, options.polished)]
+    poses = _ranked(maps, fine, poses, options.coarse_gate, options)[0][: options.polished]
     # Selected separately: before polishing, a wrong pose that three junctions fit may explain
     # more than a right one.
     poses = np.concatenate([poses, wider])
@@ -254,11 +231,12 @@ def _best(
     schedules = WIDE_GATES, NARROW_GATES
     poses = np.concatenate([polished_poses(maps, fine, poses, gates) for gates in schedules])
     # Polishing moves some poses out of the workspace.
-    gate = FINE_GATE if junctions is None else FINE_GATE_ALONE
-    poses, scores = _ranked(maps, fine, poses[_are_within(model, poses, box)], gate)
+    gate = options.fine_gate if junctions is None else options.fine_gate_alone
+    poses = poses[_are_within(model, poses, box, options)]
+    poses, scores, shares = _ranked(maps, fine, poses, gate, options)
     # Several proposals converge to the same pose.
     kept = distinct_poses(model, poses, count)
-    return poses[kept], PoseScores(*(part[kept] for part in scores))
+    return poses[kept], scores[kept], shares[kept]
 
 
 def _coarse_ranked(
@@ -267,21 +245,27 @@ def _coarse_ranked(
     model: ObjectModel,
     poses: Float[np.ndarray, "poses 4 4"],
     box: Float[np.ndarray, "2 3"] | None,
+    options: SearchOptions,
 ) -> Float[np.ndarray, "best 4 4"]:
     """Return the best of many proposals, the best first."""
-    poses = poses[_are_within(model, poses, box)]
+    poses = poses[_are_within(model, poses, box, options)]
     # Ten thousand proposals and more: few samples, and hidden lines as of convex objects only.
-    return _ranked(maps, coarse, poses, COARSE_GATE, convex=True)[0][:COMPARED]
+    return _ranked(maps, coarse, poses, options.coarse_gate, options, convex=True)[0][
+        : options.compared
+    ]
 
 
 def _are_within(
-    model: ObjectModel, poses: Float[np.ndarray, "poses 4 4"], box: Float[np.ndarray, "2 3"] | None
+    model: ObjectModel,
+    poses: Float[np.ndarray, "poses 4 4"],
+    box: Float[np.ndarray, "2 3"] | None,
+    options: SearchOptions,
 ) -> Bool[np.ndarray, "poses"]:
     """Return at which poses all vertices are within a box and its slack; all, without a box."""
     if box is None:
         return np.ones(len(poses), dtype=bool)
     vertices = host_transformed(poses, model.vertices)
-    low, high = box[0] - WORKSPACE_SLACK, box[1] + WORKSPACE_SLACK
+    low, high = box[0] - options.workspace_slack, box[1] + options.workspace_slack
     return ((vertices > low) & (vertices < high)).all(axis=(1, 2))
 
 
@@ -290,10 +274,12 @@ def _ranked(
     wireframe: Wireframe,
     poses: Float[np.ndarray, "poses 4 4"],
     gate: float,
+    options: SearchOptions,
     *,
     convex: bool = False,
-) -> tuple[Float[np.ndarray, "poses 4 4"], PoseScores]:
-    """Return poses and their scores, the best first."""
-    scores = score_poses(maps, wireframe, poses, gate, convex=convex)
-    order = np.argsort(-scores.surplus_px, kind="stable")
-    return poses[order], PoseScores(*(part[order] for part in scores))
+) -> tuple[Float[np.ndarray, "poses 4 4"], Float[np.ndarray, "poses"], Float[np.ndarray, "poses"]]:
+    """Return poses, their scores and their explained shares, the best first."""
+    lengths = score_poses(maps, wireframe, poses, gate, convex=convex)
+    scores = lengths.support_px - options.chance_support * lengths.visible_px
+    order = np.argsort(-scores, kind="stable")
+    return poses[order], scores[order], lengths.explained[order]

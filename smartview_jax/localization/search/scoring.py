@@ -31,10 +31,6 @@ MIN_MAP_POINTS = 4096
 """The number of map points is rounded up to this number times a power of two."""
 
 
-CHANCE_SUPPORT = 0.3
-"""Typical supported share of a wireframe at a wrong pose among many edges, which is subtracted."""
-
-
 class SceneMaps(eqx.Module):
     """The edge maps of all views on the device; see `features.EdgeMaps`.
 
@@ -120,11 +116,6 @@ class PoseScores(NamedTuple):
     visible_px: Float[np.ndarray, "poses"]
     explained_px: Float[np.ndarray, "poses"]
     support_px: Float[np.ndarray, "poses"]
-
-    @property
-    def surplus_px(self) -> Float[np.ndarray, "poses"]:
-        """The supported length minus the length that other edges support by chance, px."""
-        return self.support_px - CHANCE_SUPPORT * self.visible_px
 
     @property
     def explained(self) -> Float[np.ndarray, "poses"]:

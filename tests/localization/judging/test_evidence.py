@@ -2,11 +2,15 @@
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 
-from smartview_jax.localization.edges.edge_lines import EXPLAINED_DISTANCE
+from smartview_jax.localization import VerdictOptions
+from smartview_jax.localization.edges.edge_lines import EXPLAINED_DISTANCE, INDEPENDENT_LENGTH
 from smartview_jax.localization.judging.evidence import (
     log_chance_of_exact_edges,
     log_chance_of_exactness,
+    log_likelihood_of,
+    log_likelihood_of_found,
 )
 
 
@@ -45,3 +49,13 @@ def test_sets_of_edges_that_fit_by_chance_are_as_rare_as_said():
     numbers = rng.uniform(-EXPLAINED_DISTANCE, EXPLAINED_DISTANCE, (4000, 9, 2))
     logs = [log_chance_of_exact_edges(np.linalg.norm(edges, axis=1)) for edges in numbers]
     assert (np.array(logs) < -1.0).mean() < 0.1
+
+
+def test_pieces_of_edges_are_found_with_the_probabilities_that_are_given():
+    """Eight of ten pieces, and what the two that are missing say."""
+    options = VerdictOptions(found_probability=0.7, chance_probability=0.1)
+    ratio = binom.logpmf(8, 10, 0.7) - binom.logpmf(8, 10, 0.1)
+    px = 10.0 * INDEPENDENT_LENGTH
+    assert log_likelihood_of(0.8, px, options) == pytest.approx(ratio)
+    found = log_likelihood_of_found(0.8 * px, options)
+    assert found == pytest.approx(ratio - 2.0 * np.log(0.3 / 0.9))

@@ -7,7 +7,7 @@ import numpy as np
 from smartview_jax.localization import Localization
 from smartview_jax.localization.judging import judging
 from smartview_jax.localization.judging.candidates import Candidate, Query
-from smartview_jax.localization.judging.verdict import DEFAULT_OPTIONS
+from smartview_jax.localization.judging.options import DEFAULT_OPTIONS
 
 
 class Recorded(judging._Judging):
@@ -26,7 +26,7 @@ class Recorded(judging._Judging):
 
 
 def candidate(share, visible_px):
-    return Candidate(0, np.eye(4), visible_px, share * visible_px)
+    return Candidate(0, np.eye(4), visible_px, share * visible_px, 0.0)
 
 
 def test_a_short_pose_that_explains_little_does_not_end_the_search():

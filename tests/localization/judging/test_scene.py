@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from drawn_edges import drawn, evidence
-from placed_box import MODEL, POSE
+from placed_box import MODEL, POSE, placed
 
 from smartview_jax.localization.judging.candidates import Prepared
 from smartview_jax.localization.judging.scene import Scene
@@ -41,6 +41,21 @@ def test_what_is_taken_is_free_in_the_untouched_scene(views, prepared):
     # What is taken from one scene is not taken from the other.
     restored.take(claim)
     assert explained(scene.untouched(), POSE, prepared) == before
+
+
+def test_a_scene_in_corrected_views_has_its_pictures_and_walls_and_nothing_is_taken(
+    views, prepared
+):
+    wall = placed(np.array([[[-0.2, -0.2, 0.05], [0.4, -0.2, 0.05], [-0.2, 0.4, 0.05]]]))
+    scene = Scene(views, evidence(drawn(MODEL, views, POSE, 0.05)), wall)
+    turned = views._replace(camera_from_world=views.camera_from_world[::-1])
+    scene.take(scene.claim(scene.lines(POSE, prepared.fine), prepared.coarse, POSE))
+    again = scene.seen_by(turned)
+    assert again.views is turned
+    assert not again.has_claims
+    walls = np.asarray(Scene(turned, scene.pictures, wall).lookup.nearest)
+    np.testing.assert_array_equal(again.lookup.nearest, walls)
+    assert walls.max() > 0.0
 
 
 def test_claims_add_up_in_any_order(views, prepared):

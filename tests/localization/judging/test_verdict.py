@@ -63,6 +63,8 @@ def test_limits_are_those_that_are_given():
     assert actual.reasons[0].startswith("only 95% of its visible edges match")
     with pytest.raises(ValueError, match="min_margin: expected a finite number, found nan"):
         VerdictOptions(min_margin=np.nan)
+    with pytest.raises(ValueError, match=r"to grow between 0 and 1, found 0\.95 and 0\.9"):
+        VerdictOptions(chance_probability=0.95)
 
 
 def test_edges_may_be_off_by_the_tolerance_of_the_model():

@@ -4,7 +4,13 @@ from seen_scene import CALIBRATION, CAMERA, errors, seen_scene
 from solids import moved
 
 from smartview_jax.features import IdealPlane, picture_evidence
-from smartview_jax.localization import Wireframe, distinct_poses, find_hypotheses, pose_distances
+from smartview_jax.localization import (
+    SearchOptions,
+    Wireframe,
+    distinct_poses,
+    find_hypotheses,
+    pose_distances,
+)
 from smartview_jax.localization.search.corner_poses import (
     model_paths,
     picture_paths,
@@ -53,8 +59,9 @@ def test_both_objects_are_found_from_two_views(scene, found):
 
 
 def test_an_object_of_many_corners_is_found_from_one_view(scene, one_view):
-    hypotheses = find_hypotheses(scene.evidence[:1], one_view, scene.models[:1], count=5)
-    assert len(hypotheses) <= 5
+    few = SearchOptions(hypotheses=5)
+    hypotheses = find_hypotheses(scene.evidence[:1], one_view, scene.models[:1], options=few)
+    assert len(hypotheses) == 5
     poses = np.array([hypothesis.world_from_object for hypothesis in hypotheses])
     angles, shifts = errors(scene.models[0], poses, scene.world_from_object[0])
     # One view gives the distance ten times less well than two.

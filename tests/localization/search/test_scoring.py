@@ -77,7 +77,7 @@ def test_what_is_outside_the_pictures_is_not_explained(scene, maps, wireframe):
     behind[2, 3] += 1.0
     scores = score_poses(maps, wireframe, np.stack([truth, away, behind]), GATE)
     assert scores.visible_px[1] == scores.visible_px[2] == 0.0
-    assert scores.explained[1] == scores.surplus_px[1] == 0.0
+    assert scores.explained[1] == scores.support_px[1] == scores.visible_px[1] == 0.0
     # Half outside: what would be seen there counts, without support.
     edge = truth.copy()
     edge[0, 3] += 0.13
