@@ -18,11 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from ..geometry import mean_matrix
 from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
-from .misfit_evidence import STRONG_EVIDENCE, error_variances, errors_of, evidence
+from .misfit_evidence import STRONG_EVIDENCE, errors_of, evidence
 from .transform_fit import (
     TransformFit,
     fit_transforms,
@@ -232,7 +232,6 @@ class _Search(NamedTuple):
         camera: `camera_from_world` of the views.
         fit: the transforms that fit all views, without any change.
         distance: median distance of the target, m.
-        variances: of the errors without any change, of translation (m^2) and rotation (rad^2).
         place_count: number of places where a change may be.
     """
 
@@ -240,7 +239,6 @@ class _Search(NamedTuple):
     camera: Poses
     fit: TransformFit
     distance: float
-    variances: Float[np.ndarray, "2"]
     place_count: int
 
     @classmethod
@@ -248,8 +246,7 @@ class _Search(NamedTuple):
         """Return the search in some views."""
         fit = fit_transforms(robot, camera)
         distance = median_distance(camera)
-        variances = error_variances(errors_of(fit.closure))
-        return cls(robot, camera, fit, distance, variances, place_count)
+        return cls(robot, camera, fit, distance, place_count)
 
     def changes(self, place: int) -> Iterator[Change]:
         """Yield the changes of each kind before the view `place`."""
@@ -257,13 +254,17 @@ class _Search(NamedTuple):
         # The transforms of the side with more views, from which the other side differs.
         reference = after if 2 * after.sum() >= len(after) else ~after
         on_mount = fit_transforms(self.robot, self.camera, reference).closure
-        on_holder = np.linalg.inv(self.robot) @ on_mount @ self.robot
-        for kind, closure in (("camera", on_mount), ("target", on_holder)):
+        to_holder = np.linalg.inv(self.robot)
+        for kind in ("camera", "target"):
+            given, closure = self.fit.closure, on_mount
+            # Errors are compared in one frame: a target's tilt varies about one axis of its own.
+            if kind == "target":
+                given, closure = (to_holder @ part @ self.robot for part in (given, closure))
             change = mean_matrix(closure[~reference], np.ones(np.count_nonzero(~reference)))
             corrected = closure.copy()
             corrected[~reference] = np.linalg.inv(change) @ closure[~reference]
             translation, rotation = misfits(change).tolist()
-            yield self._change(kind, place, (translation, rotation), 1.0, corrected)
+            yield self._change(kind, place, (translation, rotation), 1.0, given, corrected)
         before_factor, after_factor = self._depth_factors(after)
         # No lens zooms so far between two pictures of one target; poses that fit nothing seem to.
         if not (before_factor > 0.0 and 1.0 / MAX_ZOOM < after_factor / before_factor < MAX_ZOOM):
@@ -272,7 +273,8 @@ class _Search(NamedTuple):
         camera[:, 2, 3] *= np.where(after, after_factor, before_factor)
         corrected = fit_transforms(self.robot, camera).closure
         zoom = after_factor / before_factor
-        yield self._change("zoom", place, (abs(zoom - 1.0) * self.distance, 0.0), zoom, corrected)
+        moved = abs(zoom - 1.0) * self.distance, 0.0
+        yield self._change("zoom", place, moved, zoom, self.fit.closure, corrected)
 
     def _depth_factors(self, after: Bool[np.ndarray, "views"]) -> tuple[float, float]:
         """Return true depth over measured depth, before and after a zoom.
@@ -295,13 +297,19 @@ class _Search(NamedTuple):
         return float(solution[6]), float(solution[7])
 
     def _change(
-        self, kind: str, place: int, moved: tuple[float, float], zoom: float, corrected: Poses
+        self,
+        kind: str,
+        place: int,
+        moved: tuple[float, float],
+        zoom: float,
+        given: Poses,
+        corrected: Poses,
     ) -> Change:
         """Return a change with the misfit and the evidence of the corrected closure."""
         misfit, score = mean_misfit(corrected, self.distance)
         size = moved[1] + moved[0] / self.distance
         parameters = 2 if kind == "zoom" else 6
         # A change may be at any place.
-        odds = evidence(self.variances, errors_of(corrected), parameters)
+        odds = evidence(errors_of(given), errors_of(corrected), parameters)
         odds -= 2.0 * np.log(self.place_count)
         return Change(kind, place, *moved, zoom, misfit, score, size, odds)

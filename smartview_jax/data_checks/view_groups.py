@@ -21,7 +21,7 @@ from ..geometry import host_rotation_vectors, mean_matrix
 from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
 from .convention_hypotheses import listed_views
 from .largest_group import MAX_DISAGREEMENT, MIN_GROUP, disagreements, largest_group
-from .misfit_evidence import VERY_STRONG_EVIDENCE, error_variances, errors_of, evidence
+from .misfit_evidence import VERY_STRONG_EVIDENCE, errors_of, evidence
 from .transform_fit import (
     Matrix,
     fit_transforms,
@@ -192,8 +192,7 @@ def find_groups(
     # A view that is wrong by itself, and in no group, bends a fit to all of them.
     of_members = np.isin(np.arange(len(views)), members)
     given = fit_transforms(robot, camera, of_members).closure[members]
-    variances = error_variances(errors_of(given))
-    odds = evidence(variances, errors_of(corrected[members]), 6 * len(others))
+    odds = evidence(errors_of(given), errors_of(corrected[members]), 6 * len(others))
     # Each view may be of any group.
     odds -= 2.0 * len(members) * np.log(1 + len(others))
     if odds < 2.0 * np.log(options.min_odds):
