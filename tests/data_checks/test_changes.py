@@ -59,7 +59,9 @@ def test_pictures_that_are_turned_from_a_view_on_are_no_moved_camera(turns):
     seen[FIRST_CHANGED:] = transform([0.0, 0.0, 90.0 * turns], [0.0] * 3) @ seen[FIRST_CHANGED:]
     sentence = find_change(robot, as_se3(seen), EVERY_VIEW).sentence("eye_in_hand", IDS)
     by = f"{90 * turns}|{360 - 90 * turns}"
-    assert re.search(f"from view v8 on.* as if the pictures had been turned by ({by}) deg", sentence)
+    assert re.search(
+        f"from view v8 on.* as if the pictures had been turned by ({by}) deg", sentence
+    )
     assert sentence.endswith("Turn them back")
 
 
