@@ -56,10 +56,6 @@ from .view_rejection import is_plausible
 _Option = TypeVar("_Option")
 
 
-MAX_LISTED = 4
-"""Largest number of undetermined parameters that a warning lists."""
-
-
 def fit_rig(
     rig: Rig,
     starts: Mapping[str, Calibration],
@@ -344,7 +340,7 @@ def rig_warnings(fit: RigFit, prior: RobotPrior) -> tuple[str, ...]:
     undetermined = [name for name, std in fit.std.items() if np.isinf(std)]
     if undetermined:
         warnings.append(
-            f"the data do not determine {listed(undetermined, MAX_LISTED)}: turn the robot about "
+            f"the data do not determine {listed(undetermined)}: turn the robot about "
             "other axes, hold them by fixed=, or give priors"
         )
     for name, calibration in fit.calibrations.items():
