@@ -41,7 +41,8 @@ from ..robot_errors import (
     field_name,
 )
 from .fisher_scoring import LikelihoodMaximum, StandardDeviationPrior, maximise_each
-from .likelihood import LinearisedViews, StandardDeviations
+from .linearised_views import LinearisedViews
+from .standard_deviations import StandardDeviations
 
 MIN_GENERIC_ARM_VIEWS = 10
 """Smallest number of views for which an arm of unknown geometry is a candidate.
