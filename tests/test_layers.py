@@ -26,7 +26,7 @@ FLOORS = """
     argument_checks version files runtime extras fit_result
     schemas export_text geometry cameras targets robots robot_errors calibration dataset detection
     depth hand_eye data_checks staged engine variance joint arm_identification
-    rig_pipeline calibration_pipeline clocks evaluation viewpoints features
+    rig_starts rig_pipeline calibration_pipeline clocks evaluation viewpoints features
     modeling io recordings simulation fleet localization grasping plots report editor capture
     picking cli
     __main__
