@@ -1,4 +1,4 @@
-"""Where the joint fit of a rig starts: one pose for each target, whoever sees it."""
+"""Start the joint fit of a rig from one pose for each target, whoever sees it."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
