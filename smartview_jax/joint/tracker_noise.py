@@ -268,18 +268,24 @@ def scaled_pairs(
 
 def _tracker_noise(chain: TrackedChain, axis: DepthAxis) -> TrackerNoise:
     """Return the likeliest noise of tracked poses in metres, with a depth axis."""
-    transforms, best = chain.transforms, None
-    for _ in range(UNIT_ROUNDS):
-        if best is not None:
-            transforms = moved_transforms(*best.transforms, best.step)
-        pairs = scaled_pairs(chain.data, *transforms, axis, chain.scale)
-        start = np.ones(len(pairs.parts)) if best is None else best.variances
-        hypotheses = _hypotheses(chain, axis, pairs.of(chain.data.seen), start, transforms)
-        best = max(hypotheses, key=lambda hypothesis: hypothesis.evidence)
+    pairs, hypotheses, best = _round(chain, axis, None)
+    for _ in range(UNIT_ROUNDS - 1):
+        pairs, hypotheses, best = _round(chain, axis, best)
     # The last two are the robot's.
     covariance = np.einsum("k,kvij->vij", best.variances[:-2], pairs.parts[:-2])
     correlation = serial_correlation(best.likeliest.pairs, best.variances)
     return TrackerNoise(best, covariance, correlation, hypotheses)
+
+
+def _round(
+    chain: TrackedChain, axis: DepthAxis, last: NoiseHypothesis | None
+) -> tuple[LinearPairs, tuple[NoiseHypothesis, ...], NoiseHypothesis]:
+    """Return the pairs, linear about the best chain of the last round, the hypotheses, the best."""
+    transforms = chain.transforms if last is None else moved_transforms(*last.transforms, last.step)
+    pairs = scaled_pairs(chain.data, *transforms, axis, chain.scale)
+    start = np.ones(len(pairs.parts)) if last is None else last.variances
+    hypotheses = _hypotheses(chain, axis, pairs.of(chain.data.seen), start, transforms)
+    return pairs, hypotheses, max(hypotheses, key=lambda hypothesis: hypothesis.evidence)
 
 
 def _hypotheses(

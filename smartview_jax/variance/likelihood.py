@@ -204,8 +204,8 @@ def _posterior_equations(
     diagonal = xp.where(views.per_view_free, prior_precision.per_view, 1.0)
     per_view = with_added_diagonal(of_blocks * views.matrix.per_view, diagonal)
     posterior_gradient = Step(
-        of_vectors * views.gradient.shared + prior_precision.shared * offset.shared,
-        of_matrices * views.gradient.per_view + prior_precision.per_view * offset.per_view,
+        of_vectors * views.gradient.shared + prior_precision.shared * offset.shared,  # pyright: ignore[reportArgumentType]
+        of_matrices * views.gradient.per_view + prior_precision.per_view * offset.per_view,  # pyright: ignore[reportArgumentType]
     )
     return shared, per_view, posterior_gradient
 
