@@ -64,7 +64,7 @@ class FitCovariance(NamedTuple):
         )
 
     def std_by_name(self, built: AbstractBuiltProblem) -> dict[str, float]:
-        """Return the standard deviations of all parameters, also of those of single views."""
+        """Return the standard deviations of all parameters, single views' own among them."""
         # diag(f C_v^-1 + G_v P G_v^T), with G_v = C_v^-1 B_v and P the shared covariance.
         problem = built.problem
         of_views = per_view_std(
