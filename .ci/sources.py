@@ -15,7 +15,6 @@ import hashlib
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -65,20 +64,22 @@ def python_text(file: Path) -> str:
     return "\n".join("pass" if line.lstrip()[:1] in ("%", "!") else line for line in lines)
 
 
-def files_of(module: str) -> Iterator[Path]:
+@cache
+def files_of(module: str) -> frozenset[Path]:
     """The file of a module in this repository, and the faces of the packages around it.
 
     What a package shows is imported when it is used: the stub lists its files.
     """
     parts = module.split(".")
-    bases = [ROOT, ROOT / "tests"]
-    for base in bases:
+    found = set()
+    for base in (ROOT, ROOT / "tests"):
         for count in range(1, len(parts) + 1):
             place = base.joinpath(*parts[:count])
             faces = place / "__init__.py", place / "__init__.pyi"
             for file in (*faces, place.with_suffix(".py")):
                 if file.is_file() and (count > 1 or file.parent != PACKAGE):
-                    yield file
+                    found.add(file)
+    return frozenset(found)
 
 
 @cache
@@ -104,10 +105,10 @@ def public_names() -> dict[str, str]:
 @cache
 def imported_files(file: Path) -> frozenset[Path]:
     """Files of this repository that a file names in imports, at its top or inside a function."""
-    tree = ast.parse(python_text(file))
+    nodes = list(ast.walk(ast.parse(python_text(file))))
     folder = file.parent.relative_to(ROOT).parts
     modules, package_names = set(), set()
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Import):
             modules |= {alias.name for alias in node.names}
             package_names |= {a.asname or a.name for a in node.names if a.name == PACKAGE.name}
@@ -118,7 +119,7 @@ def imported_files(file: Path) -> frozenset[Path]:
     # `sv.fit_joint` stands where the package's stub says.
     modules |= {
         public_names()[node.attr]
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.Attribute)
         and isinstance(node.value, ast.Name)
         and node.value.id in package_names
@@ -127,7 +128,7 @@ def imported_files(file: Path) -> frozenset[Path]:
     report = public_names()["report"]
     methods = {
         node.func.attr
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
     }
     if file in PAGE_WRITERS:

@@ -11,6 +11,12 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 NUMBER_PATTERN = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 """A finite decimal number in a text, as a regular expression without groups of its own."""
 
+MAX_LISTED = 5
+"""Largest number of names that a message lists, such as parameters or files."""
+
+MAX_LISTED_VIEWS = 12
+"""Largest number of names that a message lists where a person looks at each, such as views."""
+
 _REPR = reprlib.Repr()
 _REPR.maxstring = _REPR.maxother = 60
 _REPR.maxlevel = 2
@@ -21,7 +27,7 @@ def shortened_repr(value: object) -> str:
     return _REPR.repr(value)
 
 
-def listed(names: Sequence[str], most: int) -> str:
+def listed(names: Sequence[str], most: int = MAX_LISTED) -> str:
     """Return names separated by commas, such as "a, b and 3 more" of more than so many."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return f"{', '.join(names[:most])}{more}"

@@ -2,9 +2,9 @@
 
 import dataclasses
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Unpack, cast, overload
 
@@ -38,7 +38,8 @@ from .joint import (
     needs_precompiling,
     precompile,
 )
-from .rig_pipeline import RigStart, calibrate_rig
+from .rig_pipeline import calibrate_rig
+from .rig_starts import RigStart
 from .robot_errors import RobotError
 from .runtime.array_namespace import AnyArray
 from .runtime.blas_threads import on_one_blas_thread
@@ -241,14 +242,7 @@ def calibrate(
     held = joint_options.get("fixed", ()) if start else ()
     translation_is_given = given_places(transform_names(data.mount), held, priors)
     views_to_use(data, camera, translation_is_given)
-    noise = joint_options.get("noise", "estimated")
-    field = joint_options.get("field", "auto")
-    with ExitStack() as stack:
-        if needs_precompiling(data, lens, camera, noise, field):
-            # XLA compiles the joint fit while the staged fit runs. The end of the block waits for
-            # it, and ignores its errors: the fit below raises the same.
-            background = stack.enter_context(ThreadPoolExecutor(max_workers=1))
-            background.submit(precompile, data, lens, camera=camera, noise=noise, field=field)
+    with _joint_fit_precompiled(data, lens, camera, joint_options):
         staged = fit_staged(
             data,
             lens,
@@ -269,16 +263,37 @@ def calibrate(
             **joint_options,
         )
     except ValueError as error:
-        # A wrong lens or start, and views that contradict the robot, are likelier than what the fit
-        # stumbles over.
-        doubts = list(staged.warnings) + [
-            f"view {data.view_ids[view]}: {text}"
-            for view, text in staged.conventions.suspicious_views
-        ]
-        if not doubts:
-            raise
-        raise ValueError(f"{'; '.join(doubts)} (what the fit says: {error})") from error
+        if doubts := _doubts_of_staged_fit(staged, data):
+            raise ValueError(f"{'; '.join(doubts)} (what the fit says: {error})") from error
+        raise
     return CalibrationFit.of(staged, joint, data)
+
+
+@contextmanager
+def _joint_fit_precompiled(
+    data: Dataset, lens: str | AbstractLens, camera: Camera | None, options: JointOptions
+) -> Iterator[None]:
+    """Compile the joint fit while the block runs; the end of the block waits for it.
+
+    Errors are ignored, since the fit itself raises the same.
+    """
+    noise, field = options.get("noise", "estimated"), options.get("field", "auto")
+    if not needs_precompiling(data, lens, camera, noise, field):
+        yield
+        return
+    with ThreadPoolExecutor(max_workers=1) as background:
+        background.submit(precompile, data, lens, camera=camera, noise=noise, field=field)
+        yield
+
+
+def _doubts_of_staged_fit(staged: StagedFit, data: Dataset) -> tuple[str, ...]:
+    """Return what the staged fit doubts, in sentences.
+
+    A wrong lens or start, and views that contradict the robot, are likelier than what the joint fit
+    stumbles over.
+    """
+    suspicious = staged.conventions.suspicious_views
+    return (*staged.warnings, *(f"view {data.view_ids[view]}: {text}" for view, text in suspicious))
 
 
 def _by_camera(

@@ -10,6 +10,7 @@ import importlib
 import inspect
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -42,9 +43,10 @@ class Described(NamedTuple):
         return any("property" in ast.unparse(one) for one in decorators)
 
 
-def definitions(tree: ast.AST) -> Iterator[ast.AST]:
+@cache
+def definitions(tree: ast.AST) -> list[ast.AST]:
     kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
-    return (node for node in ast.walk(tree) if isinstance(node, kinds))
+    return [node for node in ast.walk(tree) if isinstance(node, kinds)]
 
 
 def described(tree: ast.AST, file: str) -> Iterator[Described]:

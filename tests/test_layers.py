@@ -26,7 +26,7 @@ FLOORS = """
     argument_checks version files runtime extras fit_result
     schemas export_text geometry cameras targets robots robot_errors calibration dataset detection
     depth hand_eye data_checks staged engine variance joint arm_identification
-    rig_pipeline calibration_pipeline clocks evaluation viewpoints features
+    rig_starts rig_pipeline calibration_pipeline clocks evaluation viewpoints features
     modeling io recordings simulation fleet localization grasping plots report editor capture
     picking cli
     __main__
@@ -61,6 +61,12 @@ def tree_of(file: Path) -> ast.Module:
     return ast.parse(file.read_text(encoding="utf-8"))
 
 
+@cache
+def nodes_of(file: Path) -> list[ast.AST]:
+    return list(ast.walk(tree_of(file)))
+
+
+@cache
 def modules_of(file: Path, annotated: bool = True) -> list[tuple[str, list[str]]]:
     """Full name of every module that a file imports, at its top or inside a function, and what.
 
@@ -69,11 +75,11 @@ def modules_of(file: Path, annotated: bool = True) -> list[tuple[str, list[str]]
         annotated: whether what is imported for annotations alone counts too.
     """
     folder = file.relative_to(PACKAGE.parent).parts[:-1]
-    nodes = list(ast.walk(tree_of(file)))
+    nodes = nodes_of(file)
     never_run = {
         inner
         for node in nodes
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
         for inner in ast.walk(node)
     }
     found = []

@@ -394,6 +394,9 @@ class CaptureSession:
         with self.folder.lock:
             data = load_dataset(self.folder.folder, "mask")
         newest = estimate(data, self.options, self._avoided())
+        error = f"{1e3 * newest.error:.2g} mm" if np.isfinite(newest.error) else "not known yet"
+        # Said before an automatic run can see it and say that its goal is reached.
+        self.listener(f"fit of {newest.views} views: expected error {error}")
         with self._state:
             self.last_estimate = newest
             # A calibration from few views may be far off: until then the drawing is safer.
@@ -401,8 +404,6 @@ class CaptureSession:
                 self._proposals = list(newest.proposals)
                 # Meanwhile more views may have been taken.
                 self._drop_near(self._avoided())
-        error = f"{1e3 * newest.error:.2g} mm" if np.isfinite(newest.error) else "not known yet"
-        self.listener(f"fit of {newest.views} views: expected error {error}")
 
     def _avoided(self) -> Float[np.ndarray, "places 4 4"]:
         """Return the poses near which no further view is wanted: of views, and of failures."""

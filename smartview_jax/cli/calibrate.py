@@ -10,11 +10,12 @@ import smartview_jax as sv
 
 from ..files import refuse_unwritable
 from . import options
-from .calibrate_folder import CalibrateSettings, loaded_folder, run_name
+from .calibrate_folder import CalibrateSettings, loaded_folder
 from .calibrate_folders import calibrate_folders
-from .calibrate_pictures import CalibrateResult, calibrated_pictures
-from .calibrate_poses import PoseResult, calibrated_poses
-from .calibrate_rig import RigResult, fitted_rig, loaded_rig
+from .calibrate_pictures import calibrated_pictures
+from .calibrate_poses import calibrated_poses
+from .calibrate_result import AbstractResult, run_name
+from .calibrate_rig import fitted_rig, loaded_rig
 from .documents import print_document
 from .options import with_option_groups
 from .terminal import errors_reported, progress_line
@@ -95,7 +96,7 @@ def _fitted_rig_or_folder(
     is_rig: bool,
     settings: CalibrateSettings,
     progress: Callable[[str], None],
-) -> CalibrateResult | PoseResult | RigResult:
+) -> AbstractResult:
     """Load and fit the cameras of a rig, or the pictures or tracked poses of one folder."""
     if is_rig:
         return fitted_rig(*loaded_rig(folders, settings, progress), settings, progress)

@@ -1,11 +1,7 @@
-"""Read the options and the data sets of `smartview calibrate`, and name its runs."""
+"""Read the options and the data sets of `smartview calibrate`."""
 
-import secrets
-import shlex
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -65,18 +61,3 @@ def loaded_folder(
     if settings.time_offset:
         data = with_estimated_clock(data, dataset, settings.lens, progress)
     return data, name
-
-
-def run_name() -> str:
-    """Return a unique name for a run, written to all its files: the time and a random part."""
-    return f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}-{secrets.token_hex(3)}"
-
-
-def command_line() -> str:
-    """Return the command that runs, as a person would type it."""
-    return shlex.join(["smartview", *sys.argv[1:]])
-
-
-def provenance(name: str, given: str) -> str:
-    """Return where the numbers come from: the data set, and values that were given."""
-    return f"{name}; given: {given}" if given else name

@@ -17,9 +17,10 @@ from rich.table import Table
 import smartview_jax as sv
 
 from ..files import refuse_unwritable
-from .calibrate_folder import CalibrateSettings, loaded_folder, run_name
-from .calibrate_pictures import CalibrateResult, calibrated_pictures
+from .calibrate_folder import CalibrateSettings, loaded_folder
+from .calibrate_pictures import PictureResult, calibrated_pictures
 from .calibrate_poses import PoseResult, calibrated_poses
+from .calibrate_result import run_name
 from .documents import print_document
 from .terminal import print_lines, progress_line
 
@@ -134,7 +135,7 @@ def _summary_of_poses(result: PoseResult, document: dict[str, Any]) -> FolderRes
     return _row(fit, errors, len(fit.warnings), document)
 
 
-def _summary(result: CalibrateResult, document: dict[str, Any]) -> FolderResult:
+def _summary(result: PictureResult, document: dict[str, Any]) -> FolderResult:
     """Return the figures of a calibration for a row of the table."""
     # The staged fit comes first, then the joint fit, and last its chain without the correction.
     joint = document["errors"][1]

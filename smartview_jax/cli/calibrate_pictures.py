@@ -1,24 +1,20 @@
 """Calibrate a data set with pictures for `smartview calibrate`: fit, judge, print and write."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from rich import box
 
 import smartview_jax as sv
 
-from ..files import file_transaction
-from .calibrate_folder import CalibrateSettings, command_line, provenance
-from .documents import (
-    budget_document,
-    fit_entries,
-    rejection_entries,
-    summary_document,
-)
+from .calibrate_folder import CalibrateSettings
+from .calibrate_result import AbstractResult
+from .documents import budget_document, fit_entries, rejection_entries, summary_document
 from .fit_options import parse_fit_options
-from .terminal import print_lines, print_table, remark_lines, verbose
+from .terminal import print_lines, print_table, verbose
 
 RESULT_FILES = {
     "calibration.yaml": "the calibration",
@@ -35,7 +31,8 @@ Fitter = Callable[
 """A function from a data set and a function that is told of the progress, or None, to a fit."""
 
 
-class CalibrateResult(NamedTuple):
+@dataclass(frozen=True)
+class PictureResult(AbstractResult):
     """A fit and what was computed about it.
 
     Attributes:
@@ -46,7 +43,6 @@ class CalibrateResult(NamedTuple):
         split_half: difference between halves of the views; None where it was not computed.
         budget: causes of the error; None where they were not computed.
         notes: remarks on the data, and on what could not be computed.
-        warnings: reasons to doubt the result.
         given: the options that state prior knowledge, in words.
     """
 
@@ -57,21 +53,18 @@ class CalibrateResult(NamedTuple):
     split_half: "sv.evaluation.SplitHalfDifference | None"
     budget: "sv.evaluation.ErrorBudget | None"
     notes: tuple[str, ...]
-    warnings: tuple[str, ...]
     given: str
 
     @property
-    def converged(self) -> bool:
-        """Whether the joint fit converged."""
-        return self.fit.result.converged
+    def warnings(self) -> tuple[str, ...]:
+        split_half = self.split_half
+        return (*self.fit.warnings, *(() if split_half is None else split_half.warnings))
 
     @property
-    def remarks(self) -> tuple[str, ...]:
-        """Notes and warnings as lines for people."""
-        return remark_lines(self.notes, self.warnings)
+    def file_descriptions(self) -> dict[str, str]:
+        return RESULT_FILES
 
     def print(self) -> None:
-        """Print the calibration with its uncertainty, its errors and the error budget."""
         fit, report = self.fit, sv.report
         columns = report.error_summaries(fit, self.data, self.held_out_reports)
         # The forms of other programs are long, and the report has them too.
@@ -93,29 +86,21 @@ class CalibrateResult(NamedTuple):
         if self.budget is not None:
             _print_budget(self.budget)
 
-    def write(self, out: Path, run: str, progress: Callable[[str], None]) -> dict[Path, str]:
-        """Write all files of a run, or none, and return what each file is."""
+    def write_files(self, folder: Path, run: str, progress: Callable[[str], None]) -> None:
         fit, pictures = self.fit, self.fit.picture_digests
-        # All files appear together, so that the report always belongs to the calibration.
-        with file_transaction(out, tuple(RESULT_FILES)) as folder:
-            source = provenance(self.name, self.given)
-            fit.joint.save(folder / "calibration.yaml", run, source, self.warnings)
-            fit.staged.calibration.save(folder / "calibration_staged.yaml", run, pictures=pictures)
-            if fit.calibration.robot_error is not None:
-                # With the robot's error corrected, the transforms alone do not predict best.
-                uncorrected = sv.calibration_pipeline.refit_uncorrected(self.data, fit)
-                uncorrected.save(folder / "calibration_uncorrected.yaml", run, pictures=pictures)
-            judgement = sv.report.Judgement(
-                self.held_out_reports, self.split_half, self.budget, self.notes
-            )
-            origin = sv.report.Origin(self.name, command_line(), run, self.given)
-            sv.report.write_page(
-                folder / "report.html", fit, self.data, judgement, origin, progress
-            )
-        return {out / name: text for name, text in RESULT_FILES.items() if (out / name).is_file()}
+        fit.joint.save(folder / "calibration.yaml", run, self.source, self.warnings)
+        fit.staged.calibration.save(folder / "calibration_staged.yaml", run, pictures=pictures)
+        if fit.calibration.robot_error is not None:
+            # With the robot's error corrected, the transforms alone do not predict best.
+            uncorrected = sv.calibration_pipeline.refit_uncorrected(self.data, fit)
+            uncorrected.save(folder / "calibration_uncorrected.yaml", run, pictures=pictures)
+        judgement = sv.report.Judgement(
+            self.held_out_reports, self.split_half, self.budget, self.notes
+        )
+        page, origin = folder / "report.html", self.origin(run)
+        sv.report.write_page(page, fit, self.data, judgement, origin, progress)
 
-    def document(self, run: str, files: list[Path]) -> dict[str, Any]:
-        """Return everything that was computed, as values for programs."""
+    def entries(self, run: str) -> dict[str, Any]:
         fit, data = self.fit, self.data
         return {
             **fit_entries(self.name, run, self.given, fit.joint),
@@ -126,15 +111,12 @@ class CalibrateResult(NamedTuple):
             **rejection_entries(fit, data),
             "halves": _halves(self.split_half),
             "budget": None if self.budget is None else budget_document(self.budget),
-            "notes": list(self.notes),
-            "warnings": list(self.warnings),
-            "files": files,
         }
 
 
 def calibrated_pictures(
     data: "sv.Dataset", name: str, settings: CalibrateSettings, progress: Callable[[str], None]
-) -> CalibrateResult:
+) -> PictureResult:
     """Fit a data set with pictures; compute held-out errors and a diagnosis if requested."""
     # The names of the transforms depend on the mount, which the data set states.
     fit_options = parse_fit_options(settings.lens, data.mount, settings.known)
@@ -152,7 +134,7 @@ def calibrated_pictures(
         )
 
     fit, notes = fitter(data, progress), list(data.notes)
-    warnings, reports = fit.warnings, {}
+    reports = {}
     # Views that the joint fit rejected are outliers, not a measure of the calibration.
     inlier_data = sv.evaluation.without_rejected_views(data, fit)
     if settings.held_out:
@@ -160,18 +142,8 @@ def calibrated_pictures(
     split_half = budget = None
     if settings.diagnose:
         split_half, budget = _diagnosis(fit, inlier_data, fitter, progress, notes)
-        warnings += () if split_half is None else split_half.warnings
-    return CalibrateResult(
-        data,
-        name,
-        fit,
-        reports,
-        split_half,
-        budget,
-        tuple(notes),
-        tuple(warnings),
-        fit_options.given,
-    )
+    given = fit_options.given
+    return PictureResult(data, name, fit, reports, split_half, budget, tuple(notes), given)
 
 
 def _held_out_reports(

@@ -1,19 +1,20 @@
 """Calibrate tracked poses for `smartview calibrate`: pairs of poses in place of pictures."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 
 import smartview_jax as sv
 
 from ..export_text import MOUNT_FRAMES
-from ..files import file_transaction
-from .calibrate_folder import CalibrateSettings, command_line, provenance
+from .calibrate_folder import CalibrateSettings
+from .calibrate_result import AbstractResult
 from .documents import fit_entries, rejection_entries
 from .fit_options import FitOptions, parse_fit_options
-from .terminal import print_lines, print_table, remark_lines, verbose
+from .terminal import print_lines, print_table, verbose
 
 RESULT_FILES = {
     "calibration.yaml": "the calibration",
@@ -23,7 +24,8 @@ RESULT_FILES = {
 """Descriptions of the files that `calibrate` writes for tracked poses, by file name."""
 
 
-class PoseResult(NamedTuple):
+@dataclass(frozen=True)
+class PoseResult(AbstractResult):
     """A fit to tracked poses and what was computed about it.
 
     Attributes:
@@ -43,17 +45,10 @@ class PoseResult(NamedTuple):
     given: str
 
     @property
-    def converged(self) -> bool:
-        """Whether the joint fit converged."""
-        return self.fit.result.converged
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Notes and warnings as lines for people."""
-        return remark_lines(self.notes, self.fit.warnings)
+    def file_descriptions(self) -> dict[str, str]:
+        return RESULT_FILES
 
     def print(self) -> None:
-        """Print the hand-eye transform, notes and warnings, errors and the pairs left out."""
         fit, report = self.fit, sv.report
         print_lines(sv.joint.fit_text(fit, (), verbose()), *self.remarks)
         print_table(("", "distance", "angle"), report.pose_error_rows(fit, self.held_out))
@@ -67,23 +62,18 @@ class PoseResult(NamedTuple):
                 "not fitted"
             )
 
-    def write(self, out: Path, run: str, progress: Callable[[str], None]) -> dict[Path, str]:
-        """Write all files of a run, or none, and return what each file is."""
+    def write_files(self, folder: Path, run: str, progress: Callable[[str], None]) -> None:
         fit = self.fit
         parent = MOUNT_FRAMES[fit.calibration.mount]
         progress("drawing the report")
-        with file_transaction(out, tuple(RESULT_FILES)) as folder:
-            if fit.has_camera:
-                fit.save(folder / "calibration.yaml", run, provenance(self.name, self.given))
-            text = sv.io.easy_handeye_calibration(fit.calibration, parent, "camera_optical_frame")
-            (folder / "hand_eye.calib").write_text(text, encoding="utf-8")
-            origin = sv.report.Origin(self.name, command_line(), run, self.given)
-            page = folder / "report.html"
-            sv.report.write_pose_page(page, fit, self.data, self.held_out, origin, self.notes)
-        return {out / name: text for name, text in RESULT_FILES.items() if (out / name).is_file()}
+        if fit.has_camera:
+            fit.save(folder / "calibration.yaml", run, self.source)
+        text = sv.io.easy_handeye_calibration(fit.calibration, parent, "camera_optical_frame")
+        (folder / "hand_eye.calib").write_text(text, encoding="utf-8")
+        page = folder / "report.html"
+        sv.report.write_pose_page(page, fit, self.data, self.held_out, self.origin(run), self.notes)
 
-    def document(self, run: str, files: list[Path]) -> dict[str, Any]:
-        """Return everything that was computed, as values for programs."""
+    def entries(self, run: str) -> dict[str, Any]:
         fit, held_out = self.fit, self.held_out
         entries = fit_entries(self.name, run, self.given, fit)
         if not fit.has_camera:
@@ -94,9 +84,6 @@ class PoseResult(NamedTuple):
             "fitted_rms": _length_and_angle(fit.rms),
             "held_out_rms": None if held_out is None else _length_and_angle(held_out.rms),
             **rejection_entries(fit, self.data),
-            "notes": list(self.notes),
-            "warnings": list(fit.warnings),
-            "files": files,
         }
 
 

@@ -2,22 +2,24 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import smartview_jax as sv
 
-from ..files import file_transaction
-from .calibrate_folder import CalibrateSettings, command_line, loaded_folder
+from .calibrate_folder import CalibrateSettings, loaded_folder
+from .calibrate_result import AbstractResult
 from .documents import budget_document, transform_document
 from .fit_options import parse_rig_start
-from .terminal import print_lines, print_table, remark_lines
+from .terminal import print_lines, print_table
 
 _Known = TypeVar("_Known")
 
 
-class RigResult(NamedTuple):
+@dataclass(frozen=True)
+class RigResult(AbstractResult):
     """A rig's fit and what was computed about it.
 
     Attributes:
@@ -36,18 +38,7 @@ class RigResult(NamedTuple):
     notes: tuple[str, ...]
     budget: "sv.evaluation.RigErrorBudget | None" = None
 
-    @property
-    def converged(self) -> bool:
-        """Whether the joint fit converged."""
-        return self.fit.result.converged
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Notes and warnings as lines for people."""
-        return remark_lines(self.notes, self.fit.warnings)
-
     def print(self) -> None:
-        """Print notes and warnings, a row for each camera and each pair, and what was left out."""
         fit, budget, report = self.fit, self.budget, sv.report
         print_lines(*self.remarks)
         tables = [
@@ -71,22 +62,20 @@ class RigResult(NamedTuple):
             place = "" if entry.point is None else f", point {entry.point}"
             print_lines(f"left out: {name}, view {entry.view}{place}: {entry.reason}")
 
-    def write(self, out: Path, run: str, progress: Callable[[str], None]) -> dict[Path, str]:
-        """Write a calibration for each camera and one report, or nothing; return what each is."""
-        progress("drawing the report")
-        names = [*self.fit.file_names, "report.html"]
-        with file_transaction(out, tuple(names)) as folder:
-            self.fit.save(folder, run)
-            origin = sv.report.Origin(self.name, command_line(), run)
-            page = folder / "report.html"
-            sv.report.write_rig_page(
-                page, self.fit, self.rig, self.held_out, origin, self.notes, self.budget
-            )
-        files = {out / name: _what_it_holds(out / name, self.fit) for name in names[:-1]}
-        return {**files, out / names[-1]: "the report: results and accuracy"}
+    @property
+    def file_descriptions(self) -> dict[str, str]:
+        calibrations = {name: _described_file(Path(name), self.fit) for name in self.fit.file_names}
+        return calibrations | {"report.html": "the report: results and accuracy"}
 
-    def document(self, run: str, files: list[Path]) -> dict[str, Any]:
-        """Return the result as values for programs."""
+    def write_files(self, folder: Path, run: str, progress: Callable[[str], None]) -> None:
+        progress("drawing the report")
+        self.fit.save(folder, run)
+        page, origin = folder / "report.html", self.origin(run)
+        sv.report.write_rig_page(
+            page, self.fit, self.rig, self.held_out, origin, self.notes, self.budget
+        )
+
+    def entries(self, run: str) -> dict[str, Any]:
         fit, cameras = self.fit, {}
         for name, calibration in fit.calibrations.items():
             mount = calibration.transform_names[0]
@@ -119,14 +108,11 @@ class RigResult(NamedTuple):
             "states": len(fit.view_ids),
             "converged": fit.result.converged,
             "budget": None if self.budget is None else _budget_document(self.budget),
-            "notes": list(self.notes),
-            "warnings": list(fit.warnings),
             "left_out": [
                 {"camera": name, "view": e.view, "point": e.point, "reason": e.reason}
                 for name, e in fit.rejected
             ],
             "run": run,
-            "files": files,
         }
 
 
@@ -224,7 +210,7 @@ def _refuse_other_options(settings: CalibrateSettings) -> None:
         )
 
 
-def _what_it_holds(file: Path, fit: "sv.RigFit") -> str:
+def _described_file(file: Path, fit: "sv.RigFit") -> str:
     """Return what a file of the result has, in words."""
     if file.name == sv.joint.RIG_FILE:
         return "the covariance of all cameras together"

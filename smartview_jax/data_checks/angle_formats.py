@@ -8,9 +8,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ..geometry import EULER_CONVENTIONS, VAL_M0
+
+Rotations = Float[np.ndarray, "views 3 3"]
+"""Rotation matrices, one per view."""
 
 
 class RotationFormat(NamedTuple):
@@ -19,16 +23,16 @@ class RotationFormat(NamedTuple):
     Attributes:
         name: of the pose format.
         description: its name, with the names of equal formats.
-        from_rotation: function from rotations to numbers, `(views, 3)`, rad.
-        to_rotation: its inverse.
+        from_matrices: function from rotation matrices to numbers, `(views, 3)`, rad.
+        to_matrices: its inverse.
         second_angle_range: range of the second angle as controllers report it, rad; None for a
             vector.
     """
 
     name: str
     description: str
-    from_rotation: Callable[[Rotation], np.ndarray]
-    to_rotation: Callable[[np.ndarray], Rotation]
+    from_matrices: Callable[[Rotations], np.ndarray]
+    to_matrices: Callable[[np.ndarray], Rotations]
     second_angle_range: tuple[float, float] | None
 
 
@@ -39,8 +43,8 @@ def _euler_format(name: str, description: str, convention: str) -> RotationForma
     return RotationFormat(
         name,
         description,
-        euler.from_rotation,
-        euler.to_rotation,
+        euler.from_matrices,
+        euler.to_matrices,
         (0.0, np.pi) if same_outer_axes else (-0.5 * np.pi, 0.5 * np.pi),
     )
 
@@ -67,11 +71,17 @@ FORMATS = (
     RotationFormat(
         "val_oat",
         "val_oat",
-        lambda r: _VAL_ANGLE_SIGNS * _ZXY.from_rotation(r * Rotation.from_matrix(VAL_M0.T)),
-        lambda x: _ZXY.to_rotation(_VAL_ANGLE_SIGNS * x) * Rotation.from_matrix(VAL_M0),
+        lambda R: _VAL_ANGLE_SIGNS * _ZXY.from_matrices(R @ VAL_M0.T),
+        lambda x: _ZXY.to_matrices(_VAL_ANGLE_SIGNS * x) @ VAL_M0,
         (-0.5 * np.pi, 0.5 * np.pi),
     ),
-    RotationFormat("ur", "ur (rotation_vector)", Rotation.as_rotvec, Rotation.from_rotvec, None),
+    RotationFormat(
+        "ur",
+        "ur (rotation_vector)",
+        lambda R: Rotation.from_matrix(R).as_rotvec(),
+        lambda x: Rotation.from_rotvec(x).as_matrix(),
+        None,
+    ),
     _euler_format("staubli_val3", "staubli_val3", "euler_XYZ_moving"),
 )
 """The formats in which poses are read; other makers have the conventions of one of these."""
@@ -86,7 +96,7 @@ knowledge."""
 
 
 def numbers_in_true_range(
-    rotation: Rotation,
+    rotations: Rotations,
     read_format: RotationFormat,
     true_format: RotationFormat,
     prefer_alternative: bool,
@@ -97,7 +107,7 @@ def numbers_in_true_range(
     the ranges of the format `true_format` is returned. If both or neither are, the principal one is
     returned, or the other one with `prefer_alternative`.
     """
-    principal = read_format.from_rotation(rotation)
+    principal = read_format.from_matrices(rotations)
     if read_format.second_angle_range is None:
         length = np.maximum(np.linalg.norm(principal, axis=1, keepdims=True), 1e-12)
         # A rotation by |v| about v is also one by |v| - 2 pi.

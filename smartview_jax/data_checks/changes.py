@@ -18,11 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from ..geometry import mean_matrix
 from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
-from .misfit_evidence import STRONG_EVIDENCE, error_variances, errors_of, evidence
+from .misfit_evidence import STRONG_EVIDENCE, errors_of, evidence
 from .transform_fit import (
     TransformFit,
     fit_transforms,
@@ -32,6 +32,8 @@ from .transform_fit import (
     misfits,
     motions_from_camera_to_target,
     moved_text,
+    quarter_turns,
+    turned_text,
 )
 
 MAX_ZOOM = 5.0
@@ -78,6 +80,8 @@ class Change(NamedTuple):
         translation, rotation: size of the change of the frame, m and rad; for a zoom, by how much
             the target seems to come nearer or to recede.
         zoom: ratio of the focal length after the change to the one before; 1 for other kinds.
+        quarter_turns: 1, 2 or 3 where the pictures on one side of the change seem to be turned by
+            so many right angles against the other side's, else 0.
         misfit: mean misfit over the views with the change, m and rad.
         score: rotation plus translation over the distance to the target.
         size: the same of the change itself.
@@ -90,6 +94,7 @@ class Change(NamedTuple):
     translation: float
     rotation: float
     zoom: float
+    quarter_turns: int
     misfit: tuple[float, float]
     score: float
     size: float
@@ -128,11 +133,14 @@ class ChangeReport(NamedTuple):
         """
         best = self.changes[0]
         causes = ", or as if ".join(_causes(change, mount) for change in self.changes)
+        advice = "Calibrate the two parts separately"
+        if best.quarter_turns:
+            advice = "Did a program turn some pictures? Turn them back"
         return (
             f"from view {view_ids[best.first_view]} on, the views contradict the earlier ones, as "
             f"if {causes}: with such a change robot and camera agree to "
             f"{misfit_text(best.misfit)} instead of {misfit_text(self.misfit)} (means over the "
-            "views). Calibrate the two parts separately"
+            f"views). {advice}"
         )
 
 
@@ -140,6 +148,8 @@ def _causes(change: Change, mount: str) -> str:
     """Return what may have been changed, and by how much, as a clause."""
     if change.kind == "zoom":
         return f"the lens had zoomed by {100.0 * (change.zoom - 1.0):+.1f} %"
+    if change.quarter_turns:
+        return f"{turned_text(change.quarter_turns)}, before it or after it"
     return moved_text(change.kind, mount, (change.translation, change.rotation))
 
 
@@ -232,7 +242,6 @@ class _Search(NamedTuple):
         camera: `camera_from_world` of the views.
         fit: the transforms that fit all views, without any change.
         distance: median distance of the target, m.
-        variances: of the errors without any change, of translation (m^2) and rotation (rad^2).
         place_count: number of places where a change may be.
     """
 
@@ -240,7 +249,6 @@ class _Search(NamedTuple):
     camera: Poses
     fit: TransformFit
     distance: float
-    variances: Float[np.ndarray, "2"]
     place_count: int
 
     @classmethod
@@ -248,22 +256,29 @@ class _Search(NamedTuple):
         """Return the search in some views."""
         fit = fit_transforms(robot, camera)
         distance = median_distance(camera)
-        variances = error_variances(errors_of(fit.closure))
-        return cls(robot, camera, fit, distance, variances, place_count)
+        return cls(robot, camera, fit, distance, place_count)
 
     def changes(self, place: int) -> Iterator[Change]:
         """Yield the changes of each kind before the view `place`."""
         after = np.arange(len(self.robot)) >= place
         # The transforms of the side with more views, from which the other side differs.
         reference = after if 2 * after.sum() >= len(after) else ~after
-        on_mount = fit_transforms(self.robot, self.camera, reference).closure
-        on_holder = np.linalg.inv(self.robot) @ on_mount @ self.robot
-        for kind, closure in (("camera", on_mount), ("target", on_holder)):
+        fit = fit_transforms(self.robot, self.camera, reference)
+        on_mount = fit.closure
+        to_holder = np.linalg.inv(self.robot)
+        for kind in ("camera", "target"):
+            given, closure = self.fit.closure, on_mount
+            # Errors are compared in one frame: a target's tilt varies about one axis of its own.
+            if kind == "target":
+                given, closure = (to_holder @ part @ self.robot for part in (given, closure))
             change = mean_matrix(closure[~reference], np.ones(np.count_nonzero(~reference)))
             corrected = closure.copy()
             corrected[~reference] = np.linalg.inv(change) @ closure[~reference]
             translation, rotation = misfits(change).tolist()
-            yield self._change(kind, place, (translation, rotation), 1.0, corrected)
+            turns = 0
+            if kind == "camera":
+                turns = quarter_turns(fit.camera_from_mount, change, self.distance)
+            yield self._change(kind, place, (translation, rotation), (1.0, turns), given, corrected)
         before_factor, after_factor = self._depth_factors(after)
         # No lens zooms so far between two pictures of one target; poses that fit nothing seem to.
         if not (before_factor > 0.0 and 1.0 / MAX_ZOOM < after_factor / before_factor < MAX_ZOOM):
@@ -272,7 +287,8 @@ class _Search(NamedTuple):
         camera[:, 2, 3] *= np.where(after, after_factor, before_factor)
         corrected = fit_transforms(self.robot, camera).closure
         zoom = after_factor / before_factor
-        yield self._change("zoom", place, (abs(zoom - 1.0) * self.distance, 0.0), zoom, corrected)
+        moved = abs(zoom - 1.0) * self.distance, 0.0
+        yield self._change("zoom", place, moved, (zoom, 0), self.fit.closure, corrected)
 
     def _depth_factors(self, after: Bool[np.ndarray, "views"]) -> tuple[float, float]:
         """Return true depth over measured depth, before and after a zoom.
@@ -295,13 +311,22 @@ class _Search(NamedTuple):
         return float(solution[6]), float(solution[7])
 
     def _change(
-        self, kind: str, place: int, moved: tuple[float, float], zoom: float, corrected: Poses
+        self,
+        kind: str,
+        place: int,
+        moved: tuple[float, float],
+        pictures: tuple[float, int],
+        given: Poses,
+        corrected: Poses,
     ) -> Change:
-        """Return a change with the misfit and the evidence of the corrected closure."""
+        """Return a change with the misfit and the evidence of the corrected closure.
+
+        `pictures` are the zoom and the quarter turns.
+        """
         misfit, score = mean_misfit(corrected, self.distance)
         size = moved[1] + moved[0] / self.distance
         parameters = 2 if kind == "zoom" else 6
         # A change may be at any place.
-        odds = evidence(self.variances, errors_of(corrected), parameters)
+        odds = evidence(errors_of(given), errors_of(corrected), parameters)
         odds -= 2.0 * np.log(self.place_count)
-        return Change(kind, place, *moved, zoom, misfit, score, size, odds)
+        return Change(kind, place, *moved, *pictures, misfit, score, size, odds)

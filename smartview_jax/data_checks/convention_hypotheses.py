@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..argument_checks import listed
+from ..argument_checks import MAX_LISTED_VIEWS, listed
 from .closure import (
     CLOSURE_SCORE_FLOOR,
     MAX_CORRECTED_SCORE_RATIO,
@@ -44,9 +44,6 @@ ANGLE_TOLERANCE = np.deg2rad(4.0)
 
 _EQUAL_POSES = 1e-9
 """Largest difference of poses (m, and entries of rotations) that is a rounding error."""
-
-MAX_LISTED_VIEWS = 12
-"""Largest number of views that a sentence lists."""
 
 
 def ranked_hypotheses(

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import betaln
 
-from ..argument_checks import listed
+from ..argument_checks import MAX_LISTED_VIEWS, listed
 from ..dataset import Rig
 from ..geometry import host_logarithms, mean_matrix
 from .closure import Poses
@@ -28,9 +28,6 @@ from .transform_fit import misfit_text, misfits
 
 MAX_SEEDS = 20
 """Largest number of states whose relative pose is tried as the one of all states."""
-
-MAX_NAMED_STATES = 12
-"""Largest number of states that a sentence names."""
 
 
 class _Exchange(NamedTuple):
@@ -66,7 +63,7 @@ def exchanged_cameras(rig: Rig, seen: Mapping[str, SeenTarget]) -> tuple[str, ..
         )
         sentences.append(
             f"the pictures of cameras {first!r} and {second!r} are exchanged in {len(names)} of "
-            f"{len(states)} states ({listed(names, MAX_NAMED_STATES)}), or in the "
+            f"{len(states)} states ({listed(names, MAX_LISTED_VIEWS)}), or in the "
             f"others: the relative pose of the cameras then varies by {corrected} instead of "
             f"{given} (means over the states). Exchange them there"
         )

@@ -40,9 +40,6 @@ It moves the target by half a millimetre at half a metre, which no good robot er
 MAX_LOGARITHM = 50.0
 """Largest logarithm of a standard deviation: a search that steps far still has finite numbers."""
 
-MAX_LISTED = 5
-"""Largest number of views with another focal length that a sentence lists."""
-
 
 class FocusChange(NamedTuple):
     """Changes of the focal length between the pictures.
@@ -74,7 +71,7 @@ class FocusChange(NamedTuple):
             several = len(names) > 1
             return (
                 f"the focal length seems to be another in view{'s' * several} "
-                f"{listed(names, MAX_LISTED)}, as in {'' if several else 'a '}picture"
+                f"{listed(names)}, as in {'' if several else 'a '}picture"
                 f"{'s' * several} with another zoom or focus, of another camera, or cut and "
                 "resized: without this robot and camera agree to "
                 f"{1e3 * self.across:.2g} mm. Take {'them' if several else 'it'} again, or leave "

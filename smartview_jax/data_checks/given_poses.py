@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from .angle_formats import RotationFormat, numbers_in_true_range
+from .angle_formats import RotationFormat, Rotations, numbers_in_true_range
 
 Poses = Float[np.ndarray, "views 4 4"]
 """Homogeneous matrices, one per view, m."""
@@ -31,11 +31,11 @@ class GivenPoses:
         self._reread: dict[tuple[str, str, bool], np.ndarray] = {}
 
     @functools.cached_property
-    def rotation(self) -> Rotation:
-        """The robot's rotations."""
-        return Rotation.from_matrix(self.robot[:, :3, :3])
+    def rotations(self) -> Rotations:
+        """The robot's rotations, to the last digit."""
+        return Rotation.from_matrix(self.robot[:, :3, :3]).as_matrix()
 
-    def with_rotations(self, rotations: np.ndarray) -> tuple[Poses, Poses]:
+    def with_rotations(self, rotations: Rotations) -> tuple[Poses, Poses]:
         """Return the poses with other rotations of the robot."""
         corrected = self.robot.copy()
         corrected[:, :3, :3] = rotations
@@ -43,7 +43,7 @@ class GivenPoses:
 
     def reread(
         self, read_format: RotationFormat, true_format: RotationFormat, alternative: bool
-    ) -> np.ndarray:
+    ) -> Rotations:
         """Return the matrices of the numbers that were read, in the true format.
 
         Args:
@@ -54,12 +54,11 @@ class GivenPoses:
         by_range = read_format.name, true_format.second_angle_range, alternative
         if by_range not in self._numbers:
             self._numbers[by_range] = numbers_in_true_range(
-                self.rotation, read_format, true_format, alternative
+                self.rotations, read_format, true_format, alternative
             )
         key = read_format.name, true_format.name, alternative
         if key not in self._reread:
-            rotation = true_format.to_rotation(self._numbers[by_range])
-            self._reread[key] = rotation.as_matrix()
+            self._reread[key] = true_format.to_matrices(self._numbers[by_range])
         return self._reread[key]
 
 
@@ -78,13 +77,13 @@ class Mistake(NamedTuple):
 
 
 def rotation_mistake(
-    name: str, description: str, correction: Callable[[Rotation], Rotation]
+    name: str, description: str, correction: Callable[[Rotations], Rotations]
 ) -> Mistake:
     """Return a mistake that concerns the robot's rotations only."""
     return Mistake(
         name,
         description,
-        lambda given: given.with_rotations(correction(given.rotation).as_matrix()),
+        lambda given: given.with_rotations(correction(given.rotations)),
     )
 
 

@@ -4,6 +4,10 @@ Errors of translation and rotation are Gaussian with variances that are estimate
 The errors of a real arm are alike in views near each other, so that n views count as
 n (1 - r) / (1 + r), with the correlation r of the errors that remain in successive views.
 
+The tilt of a small flat target errs far more than its other coordinates, and moves it as well: six
+numbers of a view then tell little more than one. Therefore an explanation has to be likely twice:
+if errors are alike in all directions, and if they have a covariance, estimated as well.
+
 References:
     Schwarz, Estimating the dimension of a model, Annals of Statistics 6, 1978.
     Bayley and Hammersley, The "effective" number of independent observations in an autocorrelated
@@ -34,7 +38,7 @@ def error_variances(errors: Float[np.ndarray, "views kinds 3"]) -> Float[np.ndar
 
 
 def evidence(
-    given_variances: Float[np.ndarray, "kinds"],
+    given: Float[np.ndarray, "views kinds 3"],
     errors: Float[np.ndarray, "views kinds 3"],
     parameters: int,
 ) -> float:
@@ -43,20 +47,33 @@ def evidence(
     It is twice the logarithm of the odds of the explanation.
 
     Args:
-        given_variances: variances of the errors as given (`error_variances`).
-        errors: what the explanation leaves over, of translation (m) and rotation (rad), or of one
-            of them alone.
+        given: errors as given, of translation (m) and rotation (rad), or of one of them alone.
+        errors: what the explanation leaves over of them.
         parameters: how many numbers the explanation has.
     """
     variances, count = error_variances(errors), len(errors)
     numbers = errors[0].size
-    scaled = errors / np.sqrt(variances)[:, None]
+    scaled, given_scaled = (
+        (part / np.sqrt(variances)[:, None]).reshape(count, numbers) for part in (errors, given)
+    )
     correlation = float(np.sum(scaled[1:] * scaled[:-1])) / (numbers * (count - 1))
     correlation = min(max(correlation, 0.0), 1.0)
     effective = max(count * (1.0 - correlation) / (1.0 + correlation), 1.0)
-    # -2 log L = 3 n log variance, for translation and rotation.
-    gain = 3.0 * effective * float(np.sum(np.log(given_variances / variances)))
-    return gain - parameters * np.log(numbers * effective)
+    # -2 log L = 3 n log variance, for translation and rotation, or n log det covariance.
+    alike = 3.0 * float(np.sum(np.log(error_variances(given) / variances)))
+    by_direction = _log_determinant(given_scaled) - _log_determinant(scaled)
+    return effective * min(alike, by_direction) - parameters * np.log(numbers * effective)
+
+
+def _log_determinant(scaled: Float[np.ndarray, "views numbers"]) -> float:
+    """Return the logarithm of the determinant of the covariance of errors, in their usual size.
+
+    As many views as there are numbers are added that err alike in all directions, because a
+    covariance that is estimated from few views has directions without any error, by chance.
+    """
+    count, numbers = scaled.shape
+    moments = scaled.T @ scaled + numbers * np.eye(numbers)
+    return float(np.linalg.slogdet(moments / (count + numbers))[1])
 
 
 def in_parts(twists: Float[np.ndarray, "*views 6"]) -> Float[np.ndarray, "*views 2 3"]:

@@ -20,7 +20,7 @@ def angle_format_mistakes() -> Iterator[Mistake]:
         "kuka_abc_for_fanuc_wpr",
         "the angles are kuka_abc (yaw_pitch_roll) and were read as fanuc_wpr, or the reverse "
         "(first and third angle swapped)",
-        lambda r: KUKA.to_rotation(FANUC.from_rotation(r)),
+        lambda R: KUKA.to_matrices(FANUC.from_matrices(R)),
     )
     for read_format, true_format in _misread_pairs():
         # Two triples of numbers describe the rotation that was read, and the true format may
@@ -59,7 +59,7 @@ def angle_format_mistakes() -> Iterator[Mistake]:
                 f"radians_as_degrees_{rotation_format.name}",
                 f"the angles ({rotation_format.description}) are in radians and were read as "
                 "degrees",
-                lambda r, form=rotation_format: form.to_rotation(np.rad2deg(form.from_rotation(r))),
+                lambda R, form=rotation_format: form.to_matrices(np.rad2deg(form.from_matrices(R))),
             )
 
 

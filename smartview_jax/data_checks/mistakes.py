@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from .angle_formats import Rotations
 from .given_poses import GivenPoses, Mistake, Poses, numbered_alike, rotation_mistake
 from .misread_angles import angle_format_mistakes
 
@@ -97,14 +98,22 @@ def _mistakes_of_matrices() -> Iterator[Mistake]:
 def _mistakes_of_rotations() -> Iterator[Mistake]:
     """Yield the mistakes in which rotations are written, whoever measured them."""
     yield rotation_mistake(
-        "transposed", "the rotations are transposed, the positions are not", lambda r: r.inv()
+        "transposed",
+        "the rotations are transposed, the positions are not",
+        lambda R: R.swapaxes(1, 2),
     )
     for read, true, order in (("wxyz", "xyzw", [3, 0, 1, 2]), ("xyzw", "wxyz", [1, 2, 3, 0])):
         yield rotation_mistake(
             f"quaternion_{true}",
             f"quaternions in the order {true} were read as {read}",
-            lambda r, order=order: Rotation.from_quat(r.as_quat()[:, order]),
+            lambda R, order=order: _with_quaternions_in_order(R, order),
         )
+
+
+def _with_quaternions_in_order(rotations: Rotations, order: list[int]) -> Rotations:
+    """Return rotations whose quaternions have the entries of the given ones in another order."""
+    quaternions = Rotation.from_matrix(rotations).as_quat()
+    return Rotation.from_quat(quaternions[:, order]).as_matrix()
 
 
 def _mirror_camera_poses(camera: Poses) -> Poses:

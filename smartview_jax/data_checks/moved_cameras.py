@@ -76,9 +76,12 @@ def find_moved_cameras(rig: Rig, seen: Mapping[str, SeenTarget]) -> tuple[MovedC
         seen: the target as each camera sees it; cameras that are not listed are not compared.
     """
     moved: dict[tuple[str, ...], MovedCamera] = {}
-    for pair in pairs_with_one_target(rig, seen):
+    pairs = tuple(pairs_with_one_target(rig, seen))
+    # Of so many good pairs, each tried in both orders, some pair would change by chance.
+    options = ChangeOptions(min_odds=2 * len(pairs) * STRONG_EVIDENCE)
+    for pair in pairs:
         # A zoom is tested for the lens of the second camera alone.
-        both = [_change(rig, order, seen) for order in ((pair[1], pair[0]), pair)]
+        both = [_change(rig, order, seen, options) for order in ((pair[1], pair[0]), pair)]
         changes = [change for change in both if change is not None]
         if not changes:
             continue
@@ -130,11 +133,13 @@ def _keeps_its_place(
     return False
 
 
-def _change(rig: Rig, pair: _Pair, seen: Mapping[str, SeenTarget]) -> MovedCamera | None:
+def _change(
+    rig: Rig, pair: _Pair, seen: Mapping[str, SeenTarget], options: ChangeOptions
+) -> MovedCamera | None:
     """Return the change of the second camera's poses against the first one's; None without one."""
     states, in_first, in_second = _states_by_time(rig, pair, seen)
     used = np.ones(len(states), dtype=bool)
-    report = find_change(as_se3(in_first), as_se3(in_second), used)
+    report = find_change(as_se3(in_first), as_se3(in_second), used, options=options)
     if report is None or report.changes[0].score > MAX_LEFT_OVER * report.score:
         return None
     return MovedCamera(pair, pair, rig.view_ids[states[report.changes[0].first_view]], report)

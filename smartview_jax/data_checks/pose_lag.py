@@ -22,7 +22,7 @@ from ..geometry import host_matrices
 from .changes import ChangeOptions
 from .closure import MAX_CLOSURE_SCORE
 from .lag_fit import MAX_FRACTION, LagFit, LaggingViews
-from .misfit_evidence import error_variances, evidence
+from .misfit_evidence import evidence
 from .transform_fit import fit_transforms, mean_misfit, median_distance, misfit_text
 
 MIN_VIEWS = 6
@@ -137,7 +137,7 @@ def find_lag(
         holder = data.mount_from_holder(fraction)
         closure = fit_transforms(holder, fit.camera).closure
         misfit, score = mean_misfit(closure, distance)
-        odds = evidence(error_variances(errors_without), errors, 1)
+        odds = evidence(errors_without, errors, 1)
         if (
             odds > 2.0 * np.log(options.min_odds)
             and score < MAX_CORRECTED_RATIO * given_score

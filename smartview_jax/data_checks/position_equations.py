@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .closure import Poses
-from .misfit_evidence import error_variances, evidence
+from .misfit_evidence import evidence
 from .transform_fit import Matrix
 
 Columns = Float[np.ndarray, "views 3 numbers"]
@@ -72,4 +72,4 @@ def evidence_of_positions(given: PositionFit, explained: PositionFit, parameters
         parameters: how many numbers it has more.
     """
     before, after = (fit.errors[:, None] for fit in (given, explained))
-    return evidence(error_variances(before), after, parameters)
+    return evidence(before, after, parameters)

@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 from ..geometry import host_matrices
 from .changes import ChangeOptions
 from .closure import MAX_CORRECTED_SCORE_RATIO, Poses
-from .misfit_evidence import error_variances, errors_of, evidence
+from .misfit_evidence import errors_of, evidence
 from .transform_fit import fit_transforms, mean_misfit, median_distance
 
 MAX_STEPS = 2
@@ -99,7 +99,7 @@ def find_shifted_numbering(
     corrected = fit_transforms(robot, _renumbered(camera, chosen)).closure
     # Every view might have been shifted in so many ways.
     ways = 2.0 * float(np.sum(np.log([len(choice) for choice in choices])))
-    gain = evidence(error_variances(errors_of(given)), errors_of(corrected), 0) - ways
+    gain = evidence(errors_of(given), errors_of(corrected), 0) - ways
     is_likely = gain > 2.0 * np.log(options.min_odds)
     miss = np.linalg.norm(_offsets(robot, camera, everything, chosen, centres) - chosen, axis=1)
     is_resolved = miss[shifted] < MAX_DISTANCE_TO_SHIFT * np.linalg.norm(chosen[shifted], axis=1)

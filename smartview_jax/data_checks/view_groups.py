@@ -17,13 +17,12 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool, Int
 
-from ..geometry import host_rotation_vectors, mean_matrix
+from ..geometry import mean_matrix
 from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
 from .convention_hypotheses import listed_views
 from .largest_group import MAX_DISAGREEMENT, MIN_GROUP, disagreements, largest_group
-from .misfit_evidence import VERY_STRONG_EVIDENCE, error_variances, errors_of, evidence
+from .misfit_evidence import VERY_STRONG_EVIDENCE, errors_of, evidence
 from .transform_fit import (
-    Matrix,
     fit_transforms,
     mean_misfit,
     median_distance,
@@ -31,11 +30,9 @@ from .transform_fit import (
     misfits,
     motions_from_camera_to_target,
     moved_text,
+    quarter_turns,
+    turned_text,
 )
-
-MAX_TURN_ERROR, MAX_TURN_SHIFT = float(np.deg2rad(2.0)), 0.05
-"""Differences (rotation, rad, and translation over the distance to the target) of a change from a
-turn about the optical axis, up to which it is one: the lens is not in the picture's very middle."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,7 +107,7 @@ class ViewGroups(NamedTuple):
         differences = [
             f"{named(group)}, as if "
             + (
-                f"the pictures had been turned by {90 * group.quarter_turns} degrees"
+                turned_text(group.quarter_turns)
                 if group.quarter_turns
                 else moved_text(self.kind, mount, (group.translation, group.rotation))
             )
@@ -187,13 +184,12 @@ def find_groups(
         translation, rotation = misfits(change).tolist()
         turns = 0
         if kind == "camera":
-            turns = _quarter_turns(fit.camera_from_mount, change, distance)
+            turns = quarter_turns(fit.camera_from_mount, change, distance)
         groups.append(ViewGroup(tuple(views[group].tolist()), translation, rotation, turns))
     # A view that is wrong by itself, and in no group, bends a fit to all of them.
     of_members = np.isin(np.arange(len(views)), members)
     given = fit_transforms(robot, camera, of_members).closure[members]
-    variances = error_variances(errors_of(given))
-    odds = evidence(variances, errors_of(corrected[members]), 6 * len(others))
+    odds = evidence(errors_of(given), errors_of(corrected[members]), 6 * len(others))
     # Each view may be of any group.
     odds -= 2.0 * len(members) * np.log(1 + len(others))
     if odds < 2.0 * np.log(options.min_odds):
@@ -232,24 +228,3 @@ def _gathered(
         groups.append(left_over[near[middle]])
         left_over = left_over[~near[middle]]
     return groups
-
-
-def _quarter_turns(camera_from_mount: Matrix, change: Matrix, distance: float) -> int:
-    """Return by how many right angles a change turns the camera about its axis; 0 if it does not.
-
-    Args:
-        camera_from_mount: the hand-eye transform.
-        change: of the mount's frame.
-        distance: median distance of the target, m.
-    """
-    of_camera = camera_from_mount @ change @ np.linalg.inv(camera_from_mount)
-    for turns in (1, 2, 3):
-        back = np.eye(4)
-        cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[turns]
-        back[:2, :2] = [[cosine, sine], [-sine, cosine]]
-        remaining = back @ of_camera
-        angle = float(np.linalg.norm(host_rotation_vectors(remaining)))
-        shift = float(np.linalg.norm(remaining[:3, 3]))
-        if angle < MAX_TURN_ERROR and shift < MAX_TURN_SHIFT * distance:
-            return turns
-    return 0

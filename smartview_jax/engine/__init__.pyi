@@ -17,6 +17,7 @@ from .covariance import reduced_equations as reduced_equations
 from .covariance import robust_variance as robust_variance
 from .covariance import variance_factor as variance_factor
 from .covariance import variance_of_sum as variance_of_sum
+from .fit_covariance import FitCovariance as FitCovariance
 from .losses import AbstractLoss as AbstractLoss
 from .losses import Cauchy as Cauchy
 from .losses import GemanMcClure as GemanMcClure

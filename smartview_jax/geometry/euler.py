@@ -6,7 +6,7 @@ Near gimbal lock, where the first angle is poorly determined, the last angle the
 for its error: the rotation is recovered to rounding error, although the single angles are not.
 """
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,9 +14,6 @@ from jaxlie import SO3
 from jaxtyping import Array, Float
 
 from ..runtime.compilation import one_program
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
 
 GIMBAL_LOCK_TOLERANCE = 1e-10
 """Limit on the cosine (or sine) of the middle angle, below which a pose is at gimbal lock.
@@ -79,16 +76,6 @@ class EulerConvention(NamedTuple):
             axis_rotations(axis, angles[:, k]) for k, axis in enumerate(self.axes)
         )
         return first @ second @ third if self.moving else third @ second @ first
-
-    def to_rotation(self, angles: Float[np.ndarray, "rows 3"]) -> "Rotation":
-        """Return the rotations of angles in rad, as SciPy's."""
-        from scipy.spatial.transform import Rotation
-
-        return Rotation.from_matrix(self.to_matrices(angles))
-
-    def from_rotation(self, rotation: "Rotation") -> Float[np.ndarray, "rows 3"]:
-        """Return the angles of SciPy's rotations, rad, as `from_matrices` does."""
-        return self.from_matrices(rotation.as_matrix())
 
     def from_matrices(self, matrices: Float[np.ndarray, "rows 3 3"]) -> Float[np.ndarray, "rows 3"]:
         """Return the angles of rotation matrices, rad.

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..argument_checks import listed
+from ..argument_checks import MAX_LISTED_VIEWS, listed
 from ..calibration import Calibration
 from ..engine import ROBOT_ERROR, covariance_factor, parameter_names
 from ..evaluation import CalibrationEstimate
@@ -15,9 +15,6 @@ from ..robots import Command
 
 if TYPE_CHECKING:
     from ..joint import RigEstimate, RigFit
-
-MAX_LISTED = 12
-"""Largest number of poses out of reach that a message lists."""
 
 HAND_EYE = "camera_from_tool."
 """The prefix of the names of the hand-eye transform's parameters."""
@@ -74,9 +71,10 @@ def camera_errors(
     is_reached = np.isfinite(host_matrices(command.base_from_tool)[:, 0, 0])
     if not is_reached.all():
         unreached = [str(1 + k) for k in np.flatnonzero(~is_reached)]
+        poses = listed(unreached, MAX_LISTED_VIEWS)
         raise ValueError(
-            f"the arm does not reach pose {listed(unreached, MAX_LISTED)} of {len(is_reached)}: "
-            "without a command nothing is known of its error"
+            f"the arm does not reach pose {poses} of {len(is_reached)}: without a command "
+            "nothing is known of its error"
         )
     noise = getattr(estimate, "noise", None)
     # A rig has several calibrations.

@@ -20,9 +20,6 @@ MAX_RATIO = 2.0
 Where the target is nearer, farther or more inclined in some views, a lens blurs them more.
 """
 
-MAX_LISTED = 5
-"""Largest number of blurred views that a sentence lists."""
-
 
 def blur_notes(detections: Mapping[str, Detection]) -> tuple[str, ...]:
     """Return sentences about blurred pictures, by how wide the target's edges are in each view.
@@ -54,7 +51,7 @@ def blur_notes(detections: Mapping[str, Detection]) -> tuple[str, ...]:
         widest = max(widths[view] for view in blurred)
         several = len(blurred) > 1
         notes.append(
-            f"view{'s' * several} {listed(blurred, MAX_LISTED)}: far more blurred than the others: "
+            f"view{'s' * several} {listed(blurred)}: far more blurred than the others: "
             f"edges are {'up to ' * several}{widest:.2g} px wide there, and {usual:.2g} px in the "
             "median view. Did the arm still move, or is the target out of focus there?"
         )

@@ -72,7 +72,7 @@ def detect_views(
     """
     report_progress = options.progress or (lambda _: None)
     limits, target = options.detection_limits or DetectionLimits(), shown.target
-    _refuse_missing(pictures)
+    _refuse_missing(pictures, options.bad_views == "mask")
     image_size = _checked_size(pictures, shown.image_size)
     kept = {} if cache is None else read_kept_detections(cache, list(pictures), len(target.points))
     common = repr((detection_identity(target), limits, image_size, cv2.__version__, _MEASURED))
@@ -153,15 +153,22 @@ def _detect_view(
     )
 
 
-def _refuse_missing(pictures: Mapping[str, Sequence[Path]]) -> None:
-    """Raise a FileNotFoundError if none of the pictures exists; it lists what the folder has.
+def _refuse_missing(pictures: Mapping[str, Sequence[Path]], masked: bool) -> None:
+    """Raise a FileNotFoundError if a picture is missing, before the target is looked for in any.
 
-    Then the folder or the suffix is wrong, and not a single picture missing.
+    If none exists, the folder or the suffix is wrong: the error lists what the folder has.
+
+    Args:
+        pictures: files by view id.
+        masked: whether the views of single missing pictures are left out instead.
     """
     paths = [path for view_paths in pictures.values() for path in view_paths]
     if not paths:
         raise ValueError("pictures: expected at least one view")
-    if any(path.is_file() for path in paths):
+    missing = [path for path in paths if not path.is_file()]
+    if len(missing) < len(paths):
+        if missing and not masked:
+            raise FileNotFoundError(f"{missing[0]}: no such picture")
         return
     first = paths[0]
     if not first.parent.is_dir():

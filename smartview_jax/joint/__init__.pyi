@@ -23,8 +23,8 @@ from .plausibility import MAX_ROTATION_HALF_WIDTH as MAX_ROTATION_HALF_WIDTH
 from .plausibility import MAX_TRANSLATION_HALF_WIDTH as MAX_TRANSLATION_HALF_WIDTH
 from .pose_fit import PoseFit as PoseFit
 from .pose_fit import fit_poses as fit_poses
-from .pose_fit import pose_rms as pose_rms
-from .pose_fit import tracked_pose_errors as tracked_pose_errors
+from .pose_rounds import pose_rms as pose_rms
+from .pose_rounds import tracked_pose_errors as tracked_pose_errors
 from .pose_start import start_from_poses as start_from_poses
 from .precompile import needs_precompiling as needs_precompiling
 from .precompile import precompile as precompile

@@ -160,7 +160,7 @@ class _Chain:
 
     def evidence(self, priors: LogNormalPriors, drifts: bool) -> float:
         """Return the logarithm of the evidence, with a drift or none, at the best chain."""
-        white = 0.5 * np.log(self.noise.variances)
+        white = 0.5 * np.log(self.noise.best.variances)
         logarithms = np.pad(white, (0, len(priors.means) - len(white)))
         for _ in range(DRIFT_ROUNDS):
             logarithms = self._round(logarithms, priors, drifts)
@@ -172,7 +172,7 @@ class _Chain:
         """Move the chain and the drift to the best ones, and return the noises' logarithms."""
         data = self._without_drift()
         pairs = scaled_pairs(
-            data, self.camera_from_mount, self.holder_from_world, self.noise.axis, self.scale
+            data, self.camera_from_mount, self.holder_from_world, self.noise.best.axis, self.scale
         )
         # Linear at the drift so far, which is added to what is left.
         by_drift = pairs.by_unknowns[:, :, 6:]
@@ -234,7 +234,7 @@ class _Chain:
 
 def _priors(chain: TrackedChain, noise: TrackerNoise, drifts: bool) -> LogNormalPriors:
     """Return the priors on all noises, on the size of the field and on the drift, if any."""
-    white = noise_priors(chain, len(noise.variances), noise.robot_medians)
+    white = noise_priors(chain, len(noise.best.variances), noise.best.robot_medians)
     more = [(0.0, np.log(FIELD_GEOMETRIC_STD))]
     if drifts:
         prior = chain.tracker_prior

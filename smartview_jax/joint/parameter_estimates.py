@@ -9,7 +9,7 @@ from jaxtyping import Float
 from ..calibration import SHAPE_NAMES, Calibration
 from ..engine import DEPTH_BIAS_NAMES, ROBOT_ERROR
 from ..geometry import host_logarithms, host_matrices
-from ..robot_errors import ErrorsOfType, nominal_arm
+from ..robot_errors import nominal_arm
 
 if TYPE_CHECKING:
     from .joint_fit import JointFit
@@ -59,7 +59,8 @@ def whole_error_stds(fit: "JointFit") -> dict[str, float]:
     `JointFit.std` has the deviations from the errors that the type has in common. Empty for a fit
     without such errors.
     """
-    if not isinstance(fit.calibration.field, ErrorsOfType):
+    field = fit.calibration.field
+    if field is None or not field.is_about_type:
         return {}
     names, by_parameters = whole_errors_by_parameters(fit)
     covariance = by_parameters @ np.asarray(fit.covariance) @ by_parameters.T
@@ -78,14 +79,13 @@ def whole_errors_by_parameters(
     """
     field = fit.calibration.field
     assert field is not None
-    of_type = isinstance(field, ErrorsOfType)
-    by_coefficients = field.by_coefficients if of_type else np.eye(field.size)
+    by_coefficients = field.by_coefficients
     fitted = {name: k for k, name in enumerate(fit.parameter_names)}
     result = np.zeros((len(by_coefficients), len(fitted)))
     for column, name in enumerate(field.names):
         if f"{ROBOT_ERROR}.{name}" in fitted:
             result[:, fitted[f"{ROBOT_ERROR}.{name}"]] = by_coefficients[:, column]
-    return field.errors.names if of_type else field.names, result
+    return field.whole.names, result
 
 
 def displayed_values(calibration: Calibration) -> dict[str, tuple[float, str]]:

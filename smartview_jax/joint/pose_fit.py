@@ -14,7 +14,7 @@ from typing import Any, Protocol, runtime_checkable
 import equinox as eqx
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 import smartview_jax as sv
 
@@ -23,43 +23,18 @@ from ..calibration import Calibration
 from ..cameras import Camera
 from ..data_checks import both_inverted_doubt
 from ..dataset import PoseDataset, chain_residuals, repeated_pairs
-from ..engine import TARGET_SCALE, ParameterChoice, Prior
-from ..geometry import PoseLike, host_matrices, host_transforms
+from ..engine import Prior
+from ..geometry import PoseLike, host_matrices
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..runtime.blas_threads import on_one_blas_thread
-from ..staged import check_start
-from .chain_covariance import widened_to
-from .drifting_tracker import TrackerDrift, tracker_drift, with_uncertain_drift
-from .fit import fit_joint
+from .drifting_tracker import TrackerDrift
 from .fit_text import robot_noise_text
 from .gross_errors import without_views
 from .joint_fit import JointFit
-from .pose_start import blank_calibration, start_in_likelier_unit, start_of_poses
-from .robust_hand_eye import chain_errors
+from .pose_rounds import PoseRounds, pose_rms, tracked_pose_errors
 from .sensor_error import with_sensor_error
-from .tracker_noise import (
-    TrackedChain,
-    TrackerNoise,
-    TrackerPrior,
-    in_tracker_units,
-    likeliest_noise,
-    with_noise,
-)
-from .undetermined import require_moving_robot
-
-MAX_ROUNDS = 3
-"""Largest number of fits after which views that fit again are taken back."""
-
-CONSISTENT_ERROR = 3.5
-"""Largest error of a view that is taken back, over the root mean square of the used views' errors.
-
-Of a normal distribution in three dimensions, one error in two million is larger.
-"""
-
-MIN_UNIT_DOUBT = 3.0
-"""Smallest difference of the ratio of motions from one, in its standard deviations, from which a
-unit of the tracker's own is considered. It saves time: the evidence decides."""
+from .tracker_noise import TrackerPrior
 
 
 @runtime_checkable
@@ -228,87 +203,31 @@ def fit_poses(
     require_instance("samples", samples, TrackedPoses, hint)
     require_names("fixed", fixed)
     field, report = checked_field_choice(field), progress or (lambda _: None)
-    data = (
-        samples
-        if isinstance(samples, PoseDataset)
-        else PoseDataset.from_poses(
-            samples.base_from_tool, samples.camera_from_world, samples.mount
-        )
-    )
-    data = without_views(data, repeated_pairs(data))
-    prior = _without_target(robot_prior or RobotPrior(), scale)
+    data = _as_pairs(samples)
     if (count := int(data.seen.sum())) < 3:
         raise ValueError(f"samples: expected at least 3 pairs of poses, found {count}")
     if data.states_covariance and tracker_prior is not None:
         raise ValueError("tracker_prior: the data set states the covariance of each pose already")
-    camera = data.camera if camera is None else camera
-    # Fitted without it: poses do not tell of a camera, and each size of picture and each lens would
-    # be another program.
-    blank = blank_calibration(data)
-    check_start(start, data)
-    choice = ParameterChoice.of(fixed, (TARGET_SCALE,) if scale else (), priors)
-    require_moving_robot(data, blank, choice)
-    tracker = tracker_prior or TrackerPrior()
-    # A drift is estimated with the whole chain.
-    may_drift = not (data.states_covariance or fixed or priors)
-    begin = start_of_poses(data, blank, start, scale)
-    if may_drift and not scale and begin.unit_doubt > MIN_UNIT_DOUBT:
-        begin = start_in_likelier_unit(data, blank, start, begin, prior, tracker)
-        if begin.in_own_unit:
-            scale, prior = True, _without_target(prior, True)
-            choice = ParameterChoice.of((), (TARGET_SCALE,), None)
-    calibration, consistent, ambiguities = begin.calibration, begin.consistent, begin.ambiguities
-    report(f"start: {consistent.sum()} of {len(data.usable_views())} pairs agree")
-
-    def chain_of(used: PoseDataset) -> TrackedChain:
-        """Return the chain of transforms for some pairs."""
-        return TrackedChain(used, calibration, scale, prior, tracker)
-
-    def fit_consistent() -> tuple[PoseDataset, JointFit, TrackerNoise | None, TrackerDrift | None]:
-        """Return the pairs that agree, the fit to them, and the tracker's noise and drift."""
-        used = without_views(data, _contradictions(data, calibration, consistent))
-        noise = drift = None
-        if not data.states_covariance:
-            chain = chain_of(used)
-            known = begin.drift if begin.drift is not None and begin.drift.is_of(chain) else None
-            noise = likeliest_noise(chain) if known is None else known.noise
-            if may_drift:
-                drift = tracker_drift(chain, noise, known)
-            if drift is not None:
-                without = host_transforms(drift.camera_from_world)
-                used = dataclasses.replace(used, camera_from_world=without)
-            covariance = noise.covariance if drift is None else drift.covariance
-            used = with_noise(used, covariance, float(calibration.target_scale))
-        fit = fit_joint(
-            used,
-            calibration,
-            field=field,
-            robot_prior=prior,
-            gross_errors="leave_out",
-            progress=progress,
-            **choice.holding("camera")._asdict(),
-        )
-        return used, fit, noise, drift
-
-    used, fit, noise, drift = fit_consistent()
-    for _ in range(MAX_ROUNDS - 1):
-        again = _consistent_again(used, fit, data.seen) & ~consistent
-        if not again.any():
-            break
-        consistent = consistent | again
-        used, fit, noise, drift = fit_consistent()
-    if drift is not None:
-        fit = with_uncertain_drift(fit, drift)
-    elif noise is not None and not (fixed or priors):
-        fit = _with_uncertain_noise(fit, chain_of(used), noise)
-    doubts = (*ambiguities, *_doubt_of_direction(data, fit.calibration, start, priors))
+    rounds = PoseRounds.of(
+        data,
+        start=start,
+        scale=scale,
+        fixed=fixed,
+        priors=priors,
+        robot_prior=robot_prior or RobotPrior(),
+        tracker_prior=tracker_prior or TrackerPrior(),
+        field=field,
+        progress=progress,
+    )
+    agreeing = rounds.start.consistent.sum()
+    report(f"start: {agreeing} of {len(data.usable_views())} pairs agree")
+    found = rounds.fitted()
+    fit = rounds.with_uncertain_noise(found)
+    doubts = (*rounds.start.ambiguities, *_doubt_of_direction(data, fit.calibration, start, priors))
     fit = dataclasses.replace(fit, warnings=(*doubts, *fit.warnings))
-    covariance = used.covariance
-    if drift is not None:
-        scaled = in_tracker_units(drift.covariance, float(calibration.target_scale))
-        covariance = to_device(scaled)
-    data = dataclasses.replace(data, covariance=covariance)
-    fit = PoseFit.of(fit, data, camera is not None, drift)
+    data = dataclasses.replace(data, covariance=rounds.covariance_of_poses(found))
+    camera = data.camera if camera is None else camera
+    fit = PoseFit.of(fit, data, camera is not None, found.drift)
     if camera is None:
         return fit
     calibration, begun_at = (
@@ -317,48 +236,16 @@ def fit_poses(
     return dataclasses.replace(fit, calibration=calibration, start=begun_at)
 
 
-def _with_uncertain_noise(fit: JointFit, chain: TrackedChain, noise: TrackerNoise) -> JointFit:
-    """Return the fit, which takes the ratios of noises as known, with a covariance over all sizes.
-
-    Args:
-        fit: the fit.
-        chain: the pairs that it was given.
-        noise: as they tell it.
-    """
-    rejected = {rejection.view for rejection in fit.rejected}
-    data = chain.data
-    wrong = {int(k): "" for k in np.flatnonzero(data.seen) if data.view_ids[k] in rejected}
-    if wrong:
-        # Pairs that contradict the others make the noise look larger.
-        noise = likeliest_noise(chain._replace(data=without_views(data, wrong)))
-    return widened_to(fit, noise.chain_covariance())
-
-
-def tracked_pose_errors(
-    data: PoseDataset, calibration: Calibration
-) -> Float[np.ndarray, "views 2"]:
-    """Return the distance (m) and angle (rad) of each tracked pose from its prediction."""
-    measured = data.tracked_matrices.copy()
-    measured[:, :3, 3] *= float(calibration.target_scale)
-    predicted = np.asarray(calibration.camera_from_world_matrices(data.command))
-    return chain_errors(measured, predicted)
-
-
-def pose_rms(errors: Float[np.ndarray, "views 2"]) -> tuple[float, float]:
-    """Return the RMS distance (m) and angle (rad) of some errors."""
-    distance, angle = np.sqrt(np.mean(errors**2, axis=0))
-    return float(distance), float(angle)
-
-
-def _without_target(prior: RobotPrior, scale: bool) -> RobotPrior:
-    """Return the prior without a target's shape and a lens, which tracked poses do not have."""
-    return dataclasses.replace(
-        prior,
-        target_bow_median=0.0,
-        target_print_median=0.0,
-        wrong_lens_probability=0.0,
-        wrong_target_probability=0.0 if scale else prior.wrong_target_probability,
+def _as_pairs(samples: TrackedPoses | PoseDataset) -> PoseDataset:
+    """Return samples as a data set, without pairs that repeat others."""
+    data = (
+        samples
+        if isinstance(samples, PoseDataset)
+        else PoseDataset.from_poses(
+            samples.base_from_tool, samples.camera_from_world, samples.mount
+        )
     )
+    return without_views(data, repeated_pairs(data))
 
 
 def _doubt_of_direction(
@@ -382,26 +269,3 @@ def _doubt_of_direction(
     in_hand = data.mount == "eye_in_hand"
     doubt = both_inverted_doubt(mount_from_camera, holder_from_world, tool_distance, in_hand)
     return (doubt,) if doubt else ()
-
-
-def _contradictions(
-    data: PoseDataset, calibration: Calibration, consistent: Bool[np.ndarray, "views"]
-) -> dict[int, str]:
-    """Return the pairs that are left out from the start, with the reason."""
-    errors = tracked_pose_errors(data, calibration)
-    return {
-        int(view): (
-            f"{1e3 * errors[view, 0]:.3g} mm and {np.rad2deg(errors[view, 1]):.3g} degrees from "
-            "where the other pairs put it: mispaired, or another target?"
-        )
-        for view in np.flatnonzero(data.seen & ~consistent)
-    }
-
-
-def _consistent_again(
-    data: PoseDataset, fit: JointFit, seen: Bool[np.ndarray, "views"]
-) -> Bool[np.ndarray, "views"]:
-    """Return the pairs that agree with a fit to some of them, among all that were seen."""
-    errors = tracked_pose_errors(data, fit.calibration)
-    typical = np.array(pose_rms(errors[fit.used_views]))
-    return seen & (errors <= CONSISTENT_ERROR * typical).all(axis=1)

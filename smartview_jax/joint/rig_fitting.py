@@ -22,15 +22,12 @@ from ..dataset import (
 )
 from ..engine import (
     BuiltRig,
+    FitCovariance,
     FittedChain,
     Noise,
     ParameterChoice,
     ParameterOptions,
-    ScaledJacobian,
     choices_of_arms,
-    covariance,
-    per_view_std,
-    reduced_equations,
     require_starts,
     with_depth_bias,
 )
@@ -54,10 +51,6 @@ from .view_fit import MAX_INLIER_CHI_SQUARE, solver_result
 from .view_rejection import is_plausible
 
 _Option = TypeVar("_Option")
-
-
-MAX_LISTED = 4
-"""Largest number of undetermined parameters that a warning lists."""
 
 
 def fit_rig(
@@ -180,22 +173,16 @@ def _assembled(
     first = next(iter(arms.values()))
     together = joined or first
     built, solution, equations = together.built, together.solution, together.equations
-    reduced = reduced_equations(equations.matrix)
-    norms = np.sqrt(np.diagonal(np.asarray(equations.matrix.shared)))
-    jacobian = ScaledJacobian(reduced.schur_complement, norms)
     # The noise is stated or estimated: the variance factor is one.
-    common, std = covariance(jacobian, 1.0)
-    freedom, correction = np.full(len(std), np.inf), None
+    uncertainty, correction = FitCovariance.of(equations.matrix), None
     estimated = (
-        _added_by_estimation(first) if joined is None else added_by_estimation(joined, arms, common)
+        _added_by_estimation(first)
+        if joined is None
+        else added_by_estimation(joined, arms, uncertainty.shared)
     )
     if estimated is not None:
         added, correction = estimated
-        freedom = correction.degrees_of_freedom
-        common = common + added
-        std = np.sqrt(std**2 + np.diagonal(added))
-    of_states = per_view_std(reduced, common, 1.0, built.problem.host_correction_roots)
-    of_states = of_states[np.asarray(built.problem.per_view_free)]
+        uncertainty = uncertainty.with_added(added, correction.degrees_of_freedom)
     cameras: dict[str, _CameraFit] = {}
     chains = (solution.chain,) if joined is None else solution.chain
     for arm, of_cameras in zip(arms.values(), chains, strict=True):
@@ -203,20 +190,19 @@ def _assembled(
     calibrations = {name: camera.calibration for name, camera in cameras.items()}
     sensors = {
         name: fitted_depth_sensor(
-            camera.data, camera.calibration, built.shared_names, common, f"{name}."
+            camera.data, camera.calibration, built.shared_names, uncertainty.shared, f"{name}."
         )
         for name, camera in cameras.items()
     }
     left_out = [entry for arm in arms.values() for entry in arm.rejected]
     bases = bases_of_pair(rig, calibrations) if joined is None else joined.bases
     motion = _undetermined_motion(rig, arms, calibrations, choice, bases)
-    std = dict(zip((*built.shared_names, *built.per_view_names), (*std, *of_states), strict=True))
-    freedom = dict(zip(built.shared_names, map(float, freedom), strict=True))
+    std, freedom = uncertainty.std_by_name(built), uncertainty.freedom_by_name(built)
     for name in motion.undetermined_names:
         std[name] = freedom[name] = np.inf
     return RigFit(
         calibrations=calibrations,
-        covariance=common,
+        covariance=uncertainty.shared,
         parameter_names=built.shared_names,
         std=std,
         degrees_of_freedom=freedom,
@@ -235,7 +221,7 @@ def _assembled(
         rejected=(*rejected, *left_out),
         built=built,
         solution=solution,
-        smallest_singular_value=float(jacobian.singular_values[-1]),
+        smallest_singular_value=float(uncertainty.jacobian.singular_values[-1]),
         result=solver_result(solution),
         bases=bases,
         arms={camera: name for name, arm in arms.items() for camera in arm.rig.cameras},
@@ -244,7 +230,7 @@ def _assembled(
         sensors={name: sensor for name, sensor in sensors.items() if sensor is not None},
         undetermined=(
             OpenDirections.of_motion(motion),
-            OpenDirections.of_jacobian(built.shared_names, jacobian),
+            OpenDirections.of_jacobian(built.shared_names, uncertainty.jacobian),
         ),
     )
 
@@ -344,7 +330,7 @@ def rig_warnings(fit: RigFit, prior: RobotPrior) -> tuple[str, ...]:
     undetermined = [name for name, std in fit.std.items() if np.isinf(std)]
     if undetermined:
         warnings.append(
-            f"the data do not determine {listed(undetermined, MAX_LISTED)}: turn the robot about "
+            f"the data do not determine {listed(undetermined)}: turn the robot about "
             "other axes, hold them by fixed=, or give priors"
         )
     for name, calibration in fit.calibrations.items():

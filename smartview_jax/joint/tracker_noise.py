@@ -96,26 +96,53 @@ class TrackerPrior:
             )
 
 
-class TrackerNoise(NamedTuple):
-    """The white noise of a tracker that is likeliest.
+class NoiseHypothesis(NamedTuple):
+    """A depth axis of the tracker's noise and a good or a weak robot, with the likeliest sizes.
 
     Attributes:
-        axis: of its noise in depth.
-        variances: of all noises, as of `LinearPairs.parts`.
-        robot_medians: medians of the prior on the robot's noise, of a good robot or of a weak one.
-        covariance: of the tracked poses, m and rad.
-        evidence: logarithm of the evidence for it.
-        correlation: of successive errors, in its standard deviations.
-        hypotheses: all hypotheses on the noise that were compared, this one among them.
+        axis: axis of the tracker's noise in depth.
+        likeliest: the likeliest variances, with the pairs that tell them.
+        evidence: logarithm of the evidence, with the prior probability of the robot.
+        robot_medians: medians of the prior on the robot's noise.
+        transforms: transforms of the chain about which the pairs are linear.
     """
 
     axis: DepthAxis
-    variances: Float[np.ndarray, "parts"]
-    robot_medians: Float[np.ndarray, "2"]
-    covariance: Float[np.ndarray, "views 6 6"]
+    likeliest: LikeliestVariances
     evidence: float
+    robot_medians: Float[np.ndarray, "2"]
+    transforms: tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]]
+
+    @property
+    def variances(self) -> Float[np.ndarray, "parts"]:
+        """The variances of all noises, in the order of `LinearPairs.parts`."""
+        return self.likeliest.variances
+
+    @property
+    def step(self) -> Float[np.ndarray, "unknowns"]:
+        """The step of the unknowns from `transforms` to the best chain."""
+        return self.likeliest.pairs.solved(self.variances)
+
+    def offset_from(self, other: "NoiseHypothesis") -> Float[np.ndarray, "unknowns"]:
+        """Return the step of the unknowns from the transforms of another hypothesis to these."""
+        steps = host_logarithms(np.stack(self.transforms) @ np.linalg.inv(other.transforms))
+        return np.pad(steps.ravel(), (0, self.likeliest.pairs.by_unknowns.shape[2] - 12))
+
+
+class TrackerNoise(NamedTuple):
+    """The white noise of a tracker.
+
+    Attributes:
+        best: the likeliest hypothesis on the noise.
+        covariance: covariance of the tracked poses by this noise, m and rad.
+        correlation: correlation of successive errors, in its standard deviations.
+        hypotheses: all hypotheses that were compared, the best among them.
+    """
+
+    best: NoiseHypothesis
+    covariance: Float[np.ndarray, "views 6 6"]
     correlation: float
-    hypotheses: "tuple[NoiseHypothesis, ...]"
+    hypotheses: tuple[NoiseHypothesis, ...]
 
     @on_one_blas_thread
     def chain_covariance(self) -> Float[np.ndarray, "unknowns unknowns"]:
@@ -126,37 +153,15 @@ class TrackerNoise(NamedTuple):
         """
         evidence = np.array([hypothesis.evidence for hypothesis in self.hypotheses])
         probabilities = np.exp(evidence - np.logaddexp.reduce(evidence))
-        best = self.hypotheses[int(np.argmax(evidence))]
-        step = best.found.pairs.solved(best.found.variances)
+        step = self.best.step
         likely = probabilities >= MIN_HYPOTHESIS_PROBABILITY
         probabilities = np.where(likely, probabilities, 0.0) / probabilities[likely].sum()
         covariance = np.zeros((len(step), len(step)))
         for k in np.flatnonzero(likely):
             hypothesis = self.hypotheses[k]
-            about = step - hypothesis.offset_from(best)
-            covariance += probabilities[k] * averaged_covariance(hypothesis.found, about)
-        return in_named_parameters(covariance, *best.transforms)
-
-
-class NoiseHypothesis(NamedTuple):
-    """A depth axis of the tracker's noise and a good or a weak robot, with the likeliest sizes.
-
-    Attributes:
-        found: the likeliest variances, with the pairs that tell them.
-        evidence: logarithm of the evidence, with the prior probability of the robot.
-        medians: of the prior on the robot's noise.
-        transforms: of the chain about which the pairs are linear.
-    """
-
-    found: LikeliestVariances
-    evidence: float
-    medians: Float[np.ndarray, "2"]
-    transforms: tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]]
-
-    def offset_from(self, other: "NoiseHypothesis") -> Float[np.ndarray, "unknowns"]:
-        """Return the step of the unknowns from the transforms of another hypothesis to these."""
-        steps = host_logarithms(np.stack(self.transforms) @ np.linalg.inv(other.transforms))
-        return np.pad(steps.ravel(), (0, self.found.pairs.by_unknowns.shape[2] - 12))
+            about = step - hypothesis.offset_from(self.best)
+            covariance += probabilities[k] * averaged_covariance(hypothesis.likeliest, about)
+        return in_named_parameters(covariance, *self.best.transforms)
 
 
 class TrackedChain(NamedTuple):
@@ -194,7 +199,7 @@ def likeliest_noise(chain: TrackedChain) -> TrackerNoise:
     factor = float(chain.calibration.target_scale)
     measured = chain._replace(data=in_metres(chain.data, factor))
     noises = [_tracker_noise(measured, axis) for axis in axes]
-    best = max(noises, key=lambda noise: noise.evidence)
+    best = max(noises, key=lambda noise: noise.best.evidence)
     return best._replace(hypotheses=tuple(h for noise in noises for h in noise.hypotheses))
 
 
@@ -263,34 +268,29 @@ def scaled_pairs(
 
 def _tracker_noise(chain: TrackedChain, axis: DepthAxis) -> TrackerNoise:
     """Return the likeliest noise of tracked poses in metres, with a depth axis."""
-    transforms = chain.transforms
-    pairs = scaled_pairs(chain.data, *transforms, axis, chain.scale)
-    used = pairs.of(chain.data.seen)
-    hypotheses = _hypotheses(chain, used, np.ones(len(pairs.parts)), transforms)
-    best = max(hypotheses, key=lambda hypothesis: hypothesis.evidence)
+    pairs, hypotheses, best = _round(chain, axis, None)
     for _ in range(UNIT_ROUNDS - 1):
-        transforms = moved_transforms(*transforms, used.solved(best.found.variances))
-        pairs = scaled_pairs(chain.data, *transforms, axis, chain.scale)
-        used = pairs.of(chain.data.seen)
-        hypotheses = _hypotheses(chain, used, best.found.variances, transforms)
-        best = max(hypotheses, key=lambda hypothesis: hypothesis.evidence)
+        pairs, hypotheses, best = _round(chain, axis, best)
     # The last two are the robot's.
-    variances = best.found.variances
-    covariance = np.einsum("k,kvij->vij", variances[:-2], pairs.parts[:-2])
-    correlation = serial_correlation(used, variances)
-    return TrackerNoise(
-        axis,
-        variances,
-        best.medians,
-        covariance,
-        best.evidence,
-        correlation,
-        hypotheses,
-    )
+    covariance = np.einsum("k,kvij->vij", best.variances[:-2], pairs.parts[:-2])
+    correlation = serial_correlation(best.likeliest.pairs, best.variances)
+    return TrackerNoise(best, covariance, correlation, hypotheses)
+
+
+def _round(
+    chain: TrackedChain, axis: DepthAxis, last: NoiseHypothesis | None
+) -> tuple[LinearPairs, tuple[NoiseHypothesis, ...], NoiseHypothesis]:
+    """Return the pairs, linear about the best chain of the last round, the hypotheses, the best."""
+    transforms = chain.transforms if last is None else moved_transforms(*last.transforms, last.step)
+    pairs = scaled_pairs(chain.data, *transforms, axis, chain.scale)
+    start = np.ones(len(pairs.parts)) if last is None else last.variances
+    hypotheses = _hypotheses(chain, axis, pairs.of(chain.data.seen), start, transforms)
+    return pairs, hypotheses, max(hypotheses, key=lambda hypothesis: hypothesis.evidence)
 
 
 def _hypotheses(
     chain: TrackedChain,
+    axis: DepthAxis,
     pairs: LinearPairs,
     start: Float[np.ndarray, "parts"],
     transforms: tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]],
@@ -302,9 +302,10 @@ def _hypotheses(
     candidates = []
     for medians, probability in ((prior.medians(None), 1.0 - weak), (weak_medians, weak)):
         if probability > 0.0:
-            best = likeliest_variances(pairs, start, noise_priors(chain, len(pairs.parts), medians))
-            evidence = best.evidence + float(np.log(probability))
-            candidates.append(NoiseHypothesis(best, evidence, medians, transforms))
+            priors = noise_priors(chain, len(pairs.parts), medians)
+            likeliest = likeliest_variances(pairs, start, priors)
+            evidence = likeliest.evidence + float(np.log(probability))
+            candidates.append(NoiseHypothesis(axis, likeliest, evidence, medians, transforms))
     return tuple(candidates)
 
 

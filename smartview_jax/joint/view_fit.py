@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 import optimistix as optx
+from jaxtyping import Bool, Float
 
 from ..calibration import SHAPE_NAMES, Calibration, TargetShape
 from ..dataset import Dataset, PoseDataset
@@ -16,18 +17,15 @@ from ..engine import (
     AbstractLoss,
     BlockArrow,
     BuiltProblem,
+    FitCovariance,
     JointProblem,
     Noise,
     NormalEquations,
     ParameterChoice,
-    ScaledJacobian,
     Solution,
     Step,
     build_problem,
-    covariance,
     observability,
-    per_view_std,
-    reduced_equations,
     robust_variance,
     solve,
     solve_on,
@@ -37,7 +35,7 @@ from ..engine import (
 )
 from ..fit_result import FitCode, FitResult, Rejection
 from ..robot_errors import AbstractField, FieldChoice, RobotError, RobotPrior
-from ..runtime.array_namespace import to_device
+from ..runtime.array_namespace import AnyArray, to_device
 from ..runtime.modules import with_fields
 from ..variance import NoiseEstimate, estimate_noise
 from .fitted_depth_sensor import fitted_depth_sensor, weighed_depths
@@ -224,77 +222,79 @@ def _assemble_fit(
 ) -> JointFit:
     """Build the result: covariances, degrees of freedom, inliers and rejections at the solution."""
     problem, chain = built.problem, solution.chain
-    squares, visible = squared_residuals(problem, chain), np.asarray(problem.observations.visible)
+    squares = squared_residuals(problem, chain)
     factor = 1.0 if built.sigma_known else float(variance_factor(problem, squares))
-    reduced = reduced_equations(equations.matrix)
-
-    # Covariance f R^-1, with R the Schur complement of the corrections, f the variance factor.
-    # Scaling to unit columns makes the singular values independent of units.
-    column_norms = np.sqrt(np.diagonal(np.asarray(equations.matrix.shared)))
-    scaled_jacobian = ScaledJacobian(reduced.schur_complement, column_norms)
-    common_covariance, std = covariance(scaled_jacobian, factor)
-    degrees_of_freedom = np.full(len(std), np.inf)
-    if noise_estimate is not None:
-        # Estimated variance components add the Kenward-Roger term and finite degrees of freedom;
-        # uncertainty between models adds a covariance.
-        small_sample = noise_estimate.correction_of(built.shared_names)
-        added = small_sample.added_covariance
-        added = added + noise_estimate.covariance_of_choices(built.shared_names)
-        common_covariance = common_covariance + added
-        degrees_of_freedom = small_sample.degrees_of_freedom
-        std = np.sqrt(std**2 + np.diagonal(added))
-    # Corrections: diag(f C_v^-1 + G_v P G_v^T), with G_v = C_v^-1 B_v and P the common covariance.
-    correction_std = per_view_std(
-        reduced,
-        common_covariance,
-        factor,
-        problem.host_correction_roots,
-    )
-    correction_std = correction_std[np.asarray(problem.per_view_free)]
-
-    # The robust variance widens the gate if residuals are larger than the noise model states.
-    residual_variance = float(robust_variance(squares, visible))
-    gate = MAX_INLIER_CHI_SQUARE * (
-        max(1.0, residual_variance) if built.sigma_known else residual_variance
-    )
-    names = (*built.shared_names, *built.per_view_names)
+    uncertainty = _uncertainty(built, equations, factor, noise_estimate)
     shape_std, shape_freedom = _shape_uncertainty(noise_estimate)
-    # The robot error of the result has only the groups that were fitted.
-    calibration, error = chain.calibration, chain.calibration.robot_error
-    if noise_estimate is not None and error is not None:
-        field = noise_estimate.field
-        error = None if field is None else error.converted_to(field)
-        calibration = with_fields(calibration, robot_error=error)
-    calibration = with_fields(calibration, target_shape=shape)
+    calibration = _fitted_calibration(chain.calibration, noise_estimate, shape)
+    corrections = chain.pose_corrections
     return JointFit(
         calibration=calibration,
-        covariance=common_covariance,
+        covariance=uncertainty.shared,
         pixel_sigma=float(problem.pixel_sigma) * float(np.sqrt(factor)),
         residuals=data.pixels,
-        inliers=to_device(visible & (squares <= gate)),
+        inliers=to_device(_inliers(built, squares)),
         pose_corrections=to_device(
-            chain.pose_corrections
-            if len(chain.pose_corrections)
-            else np.zeros((data.view_count, 6))
+            corrections if len(corrections) else np.zeros((data.view_count, 6))
         ),
         field_corrections=to_device(chain.field_corrections),
         start=problem.parameters.start if noise_estimate is None else noise_estimate.calibration,
         problem=problem,
         solution=solution,
-        std=dict(zip(names, map(float, (*std, *correction_std)), strict=True)) | shape_std,
-        degrees_of_freedom={
-            **dict(zip(built.shared_names, map(float, degrees_of_freedom), strict=True)),
-            **shape_freedom,
-        },
+        std=uncertainty.std_by_name(built) | shape_std,
+        degrees_of_freedom=uncertainty.freedom_by_name(built) | shape_freedom,
         noise=built.noise if noise_estimate is None else noise_estimate.noise,
         noise_estimate=noise_estimate,
         rejected=_all_rejections(data, rejected_points, built.unprojectable),
-        observability=observability(scaled_jacobian, built.shared_names, chain.calibration),
+        observability=observability(uncertainty.jacobian, built.shared_names, chain.calibration),
         parameter_names=built.shared_names,
         view_ids=data.view_ids,
         result=solver_result(solution),
-        sensor=fitted_depth_sensor(data, calibration, built.shared_names, common_covariance),
+        sensor=fitted_depth_sensor(data, calibration, built.shared_names, uncertainty.shared),
     )
+
+
+def _uncertainty(
+    built: BuiltProblem,
+    equations: NormalEquations,
+    variance_factor: float,
+    noise_estimate: NoiseEstimate | None,
+) -> FitCovariance:
+    """Return the covariance of the fit, with what an estimate of the noise adds.
+
+    Estimated variance components add the Kenward-Roger term and finite degrees of freedom, and
+    uncertainty between models adds a covariance.
+    """
+    uncertainty = FitCovariance.of(equations.matrix, variance_factor)
+    if noise_estimate is None:
+        return uncertainty
+    small_sample = noise_estimate.correction_of(built.shared_names)
+    added = small_sample.added_covariance
+    added = added + noise_estimate.covariance_of_choices(built.shared_names)
+    return uncertainty.with_added(added, small_sample.degrees_of_freedom)
+
+
+def _inliers(
+    built: BuiltProblem, squares: Float[AnyArray, "views points"]
+) -> Bool[np.ndarray, "views points"]:
+    """Return the points that agree with the fit, from their squared whitened residuals."""
+    visible = np.asarray(built.problem.observations.visible)
+    # The robust variance widens the gate if residuals are larger than the noise model states.
+    variance = float(robust_variance(squares, visible))
+    gate = MAX_INLIER_CHI_SQUARE * (max(1.0, variance) if built.sigma_known else variance)
+    return visible & np.asarray(squares <= gate)
+
+
+def _fitted_calibration(
+    calibration: Calibration, noise_estimate: NoiseEstimate | None, shape: TargetShape | None
+) -> Calibration:
+    """Return the calibration with the shape, and with those robot errors that were fitted."""
+    error = calibration.robot_error
+    if noise_estimate is not None and error is not None:
+        field = noise_estimate.field
+        error = None if field is None else error.converted_to(field)
+        calibration = with_fields(calibration, robot_error=error)
+    return with_fields(calibration, target_shape=shape)
 
 
 def _shape_uncertainty(

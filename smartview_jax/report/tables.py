@@ -23,7 +23,6 @@ from ..evaluation import (
     without_rejected_views,
 )
 from ..joint import JointFit, outcome, parameter_estimates
-from ..robot_errors import ErrorsOfType
 from ..variance import NoiseEstimate
 
 
@@ -250,7 +249,8 @@ def robot_error_row(estimate: NoiseEstimate) -> tuple[str, str]:
         if candidate.probability >= 0.005
     )
     name = _model_with_description(estimate.name)
-    about = ", about the errors of its type" if isinstance(estimate.field, ErrorsOfType) else ""
+    field = estimate.field
+    about = ", about the errors of its type" if field is not None and field.is_about_type else ""
     return "errors of the robot", f"{name}{about}; probabilities: {probabilities}"
 
 

@@ -132,19 +132,20 @@ class ErrorsOfType(AbstractArmErrors):
         )
 
     @property
+    def whole(self) -> AbstractArmErrors:
+        return self.errors
+
+    @property
     def by_coefficients(self) -> Float[np.ndarray, "errors coefficients"]:
-        """The derivative of the whole errors by this field's coefficients."""
         return np.concatenate([np.eye(self.errors.size), np.asarray(self.root)], axis=1)
 
     @property
     def without_errors(self) -> Float[np.ndarray, "coefficients"]:
-        """The coefficients of an arm without any errors, whatever its type has."""
         return np.append(-np.asarray(self.mean), np.zeros(self.root.shape[1]))
 
     def host_whole(
         self, coefficients: Float[np.ndarray, "coefficients"]
     ) -> Float[np.ndarray, "errors"]:
-        """Return the coefficients of `errors`, with the type's mean, computed with NumPy."""
         return np.asarray(self.mean) + self.by_coefficients @ coefficients
 
     def _whole(self, coefficients: Float[Array, "coefficients"]) -> Float[Array, "errors"]:

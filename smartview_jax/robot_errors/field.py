@@ -11,6 +11,7 @@ from typing import Any, Literal, TypeAlias
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
@@ -155,6 +156,32 @@ class AbstractField(eqx.Module):
     def names(self) -> tuple[str, ...]:
         """The name of each coefficient: its group and its number within the group."""
         return tuple(f"{group}.{k}" for group, count in self.groups for k in range(count))
+
+    @property
+    def whole(self) -> "AbstractField":
+        """The field of the whole errors: this field, unless it has deviations from a type's."""
+        return self
+
+    @property
+    def is_about_type(self) -> bool:
+        """Whether the coefficients are deviations from the errors that a type of robot has."""
+        return self.whole is not self
+
+    @property
+    def by_coefficients(self) -> Float[np.ndarray, "errors coefficients"]:
+        """The derivative of the whole errors by this field's coefficients."""
+        return np.eye(self.size)
+
+    @property
+    def without_errors(self) -> Float[np.ndarray, "coefficients"]:
+        """The coefficients of a robot without any errors, whatever its type has."""
+        return np.zeros(self.size)
+
+    def host_whole(
+        self, coefficients: Float[np.ndarray, "coefficients"]
+    ) -> Float[np.ndarray, "errors"]:
+        """Return the coefficients of `whole`, computed with NumPy."""
+        return coefficients
 
 
 class AbstractPreparedField(AbstractField):

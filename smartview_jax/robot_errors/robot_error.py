@@ -10,7 +10,6 @@ from ..robots import Command, CommandLike, JointsLike, as_command
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled, compiled_optimised
 from ..runtime.modules import HostModule
-from .common_errors import ErrorsOfType
 from .field import INVERSION_STEPS, AbstractField
 
 
@@ -33,17 +32,15 @@ class RobotError(HostModule):
     @classmethod
     def without_errors(cls, field: AbstractField) -> "RobotError":
         """Return the error that corrects nothing, also of a robot whose type has common errors."""
-        if not isinstance(field, ErrorsOfType):
-            return cls.zero(field)
         return cls(field, to_device(field.without_errors))
 
     @property
     def whole(self) -> "RobotError":
         """The same error with the coefficients about zero, not about the mean of a type."""
-        if not isinstance(self.field, ErrorsOfType):
+        if not self.field.is_about_type:
             return self
         coefficients = self.field.host_whole(np.asarray(self.coefficients))
-        return RobotError(self.field.errors, to_device(coefficients))
+        return RobotError(self.field.whole, to_device(coefficients))
 
     def converted_to(self, field: AbstractField) -> "RobotError":
         """Return the error with another field, which has some of the same groups of coefficients.

@@ -38,7 +38,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .arm_errors import AbstractArmErrors
-from .common_errors import COMMON_ERROR, CommonErrors, ErrorsOfType
+from .common_errors import COMMON_ERROR, CommonErrors
 from .field import AbstractField
 
 _GROUP_MEDIANS: Mapping[str, float] = MappingProxyType(
@@ -206,7 +206,7 @@ class RobotPrior:
         """
         if self.common_errors is None or not isinstance(field, AbstractArmErrors):
             return field
-        return field if isinstance(field, ErrorsOfType) else self.common_errors.about(field)
+        return field if field.is_about_type else self.common_errors.about(field)
 
     @property
     def target_is_flat(self) -> bool:

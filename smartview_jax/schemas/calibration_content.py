@@ -13,9 +13,6 @@ _KIND = "smartview_calibration"
 _FIRST_BYTES = 500
 """Number of bytes in which the kind of a file is looked for: it is the first entry."""
 
-_MAX_LISTED = 4
-"""Largest number of files that a message lists."""
-
 
 def calibration_content(path: str | os.PathLike[str]) -> dict[Any, Any]:
     """Return the mapping in a calibration's file; its entries are not checked yet.
@@ -49,7 +46,7 @@ def _file_to_give(folder: Path) -> str:
         return f": give {usual}"
     if calibrations:
         names = [path.name for path in calibrations]
-        return f": give one of {listed(names, _MAX_LISTED)} in it"
+        return f": give one of {listed(names)} in it"
     if (folder / "dataset.yaml").is_file():
         return f": it has a data set; smartview calibrate {folder} --out RESULTS writes the file"
     return ""

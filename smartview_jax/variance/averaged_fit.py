@@ -22,16 +22,11 @@ from ..geometry import host_matrices
 from ..robot_errors import AbstractField, RobotPrior
 from ..runtime.blas_threads import on_one_blas_thread
 from .directional_noise import DirectionalNoise
-from .fisher_scoring import LikelihoodMaximum, StandardDeviationPrior, fisher_information
+from .fisher_information import fisher_information
+from .fisher_scoring import LikelihoodMaximum, StandardDeviationPrior
 from .kenward_roger import SmallSampleCorrection, small_sample_correction
-from .likelihood import (
-    ROBOT_SIGMA_FLOOR,
-    LinearisedViews,
-    StandardDeviations,
-    kinds_of,
-    marginalise,
-    posterior_mode_step,
-)
+from .likelihood import marginalise, posterior_mode_step
+from .linearised_views import LinearisedViews, kinds_of
 from .model_average import (
     averaged_models,
     between_directions_covariance,
@@ -48,6 +43,7 @@ from .model_selection import (
     smallest_sufficient_field,
     standard_deviation_prior,
 )
+from .standard_deviations import ROBOT_SIGMA_FLOOR, StandardDeviations
 from .view_statistics import ViewStatistics, chain_at, with_prior_sigmas
 
 MAX_LINEARISATIONS = 6

@@ -12,14 +12,10 @@ from .averaged_fit import (
     iterate_to_convergence,
     probabilities_by_field,
 )
-from .directional_noise import (
-    DirectionalNoise,
-    DirectionalPrior,
-    estimate_directions,
-    in_own_axes,
-)
-from .likelihood import StandardDeviations
+from .directional_noise import DirectionalNoise
+from .directional_search import DirectionalPrior, estimate_directions
 from .model_selection import WHITE_NOISE
+from .standard_deviations import StandardDeviations
 
 DIRECTIONAL_FITS = 2
 """Largest number of fits with errors that differ by direction, each with a new estimate of them."""
@@ -52,7 +48,7 @@ def fit_by_direction(second: SecondPass, prior: RobotPrior) -> SecondPass | None
     for _ in range(DIRECTIONAL_FITS):
         linearised = average.views
         if average.directions is not None:
-            linearised = in_own_axes(linearised, np.linalg.inv(average.directions.roots))
+            linearised = linearised.in_own_axes(np.linalg.inv(average.directions.roots))
         sigmas = average.maximum.sigmas
         directions = estimate_directions(linearised, sigmas, tool_from_base, of_directions)
         if directions is None:
@@ -114,8 +110,8 @@ def _in_mean_sizes(average: AveragedFit, directions: DirectionalNoise) -> Averag
     return average._replace(
         statistics=average.statistics.with_correction_roots(directions.roots),
         z=host_step(np.asarray(average.z.shared), np.asarray(average.z.per_view) * per_parameter),
-        views=in_own_axes(
-            average.views, np.broadcast_to(np.diag(1.0 / per_parameter), directions.roots.shape)
+        views=average.views.in_own_axes(
+            np.broadcast_to(np.diag(1.0 / per_parameter), directions.roots.shape)
         ),
         fitted={
             name: each._replace(maximum=each.maximum._replace(sigmas=scaled(each.maximum.sigmas)))

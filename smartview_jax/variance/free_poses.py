@@ -18,7 +18,7 @@ from ..engine import (
     Step,
     solve,
 )
-from .likelihood import LinearisedViews
+from .linearised_views import LinearisedViews
 from .view_statistics import ViewStatistics, with_free_poses
 
 MAX_SHAPE_FITS = 4

@@ -19,13 +19,8 @@ from scipy.special import chdtrc, fdtrc
 
 from .directional_noise import DirectionalNoise, effect_of_directions
 from .fisher_scoring import LikelihoodMaximum
-from .likelihood import (
-    LinearisedViews,
-    Marginalisation,
-    kinds_of,
-    marginalise,
-    rows_of_views,
-)
+from .likelihood import Marginalisation, marginalise
+from .linearised_views import LinearisedViews, kinds_of, rows_of_views
 
 VAGUE_PRIOR_LOG_STD = 3.0
 """Prior standard deviation of the logarithm of a standard deviation.

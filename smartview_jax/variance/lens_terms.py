@@ -20,7 +20,9 @@ from scipy.special import logsumexp
 from ..dataset import view_residuals
 from ..engine import FittedChain, Step
 from ..runtime.modules import with_fields
-from .likelihood import LinearisedViews, StandardDeviations, marginalise
+from .likelihood import marginalise
+from .linearised_views import LinearisedViews
+from .standard_deviations import StandardDeviations
 from .view_statistics import ViewStatistics
 
 STANDARD_DEVIATIONS = np.geomspace(0.01, 10.0, 16)

@@ -12,9 +12,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ..engine import is_size
-from .directional_noise import DirectionalNoise, in_own_axes
-from .likelihood import ROBOT_SIGMA_FLOOR, LinearisedViews, StandardDeviations, marginalise
+from .directional_noise import DirectionalNoise
+from .likelihood import marginalise
+from .linearised_views import LinearisedViews
 from .model_selection import FittedCandidate, ModelName, average_standard_deviations
+from .standard_deviations import ROBOT_SIGMA_FLOOR, StandardDeviations
 
 
 def averaged_models(
@@ -98,7 +100,7 @@ def between_directions_covariance(
     result = np.zeros((len(estimate), len(estimate)))
     for name, probability in directions.probabilities.items():
         roots = to_own @ np.linalg.cholesky(directions.covariances[name])
-        whitened = in_own_axes(views, roots)
+        whitened = views.in_own_axes(roots)
         difference = marginalise(whitened, of_hypothesis).step.shared - estimate
         result += probability * np.outer(difference, difference)
     return result

@@ -25,7 +25,8 @@ from ..robot_errors import AbstractField, FieldChoice, RobotPrior
 from ..runtime.blas_threads import on_one_blas_thread
 from .fisher_scoring import StandardDeviationPrior
 from .free_poses import fit_free_poses
-from .likelihood import LinearisedViews, StandardDeviations, marginalise, posterior_mode_step
+from .likelihood import marginalise, posterior_mode_step
+from .linearised_views import LinearisedViews
 from .model_selection import (
     WHITE_NOISE,
     Candidate,
@@ -41,6 +42,7 @@ from .model_selection import (
 from .noise_estimate import CandidateResult, TargetScaleEvidence
 from .possible_models import TARGET_SCALE_LIMITS
 from .robot_evidence import RobotEvidence
+from .standard_deviations import StandardDeviations
 from .view_statistics import ViewStatistics, with_prior_sigmas
 
 MAX_FREE_FITS = 3

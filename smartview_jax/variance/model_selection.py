@@ -33,7 +33,6 @@ from ..robot_errors import (
     AbstractField,
     CombinedField,
     ElasticDHErrors,
-    ErrorsOfType,
     FieldChoice,
     GenericSixAxisArm,
     LinearInPose,
@@ -42,7 +41,8 @@ from ..robot_errors import (
     field_name,
 )
 from .fisher_scoring import LikelihoodMaximum, StandardDeviationPrior, maximise_each
-from .likelihood import LinearisedViews, StandardDeviations
+from .linearised_views import LinearisedViews
+from .standard_deviations import StandardDeviations
 
 MIN_GENERIC_ARM_VIEWS = 10
 """Smallest number of views for which an arm of unknown geometry is a candidate.
@@ -188,7 +188,7 @@ def _models_of_any_robot(
     if basis is None:
         return white
     # The models describe how a robot deviates from its type.
-    basis = basis.errors if isinstance(basis, ErrorsOfType) else basis
+    basis = basis.whole
     if requested != "auto":
         return white | {field_name(basis): Candidate(_group_names(basis), 0.0)}
     linear, arm = _split_basis(basis)
@@ -348,7 +348,7 @@ def smallest_sufficient_field(
 ) -> AbstractField | None:
     """Return the smallest part of the basis that contains the models; None for white noise."""
     groups = frozenset().union(*(models[name].groups for name in names))
-    if basis is None or not (groups or isinstance(basis, ErrorsOfType)):
+    if basis is None or not (groups or basis.is_about_type):
         return None
     linear, arm = _split_basis(basis)
     if arm is None or not groups & _group_names(arm):

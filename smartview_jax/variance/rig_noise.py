@@ -28,7 +28,6 @@ from .directional_noise import DirectionalNoise, largest_noise
 from .fisher_scoring import StandardDeviationPrior
 from .free_poses import choice_for_free_poses, fit_free_poses
 from .kenward_roger import SmallSampleCorrection
-from .likelihood import ROBOT_SIGMA_FLOOR, StandardDeviations
 from .model_comparison import (
     Linearisation,
     ModelComparison,
@@ -45,6 +44,7 @@ from .model_selection import (
     standard_deviation_prior,
 )
 from .noise_estimate import CandidateResult, TargetScaleEvidence
+from .standard_deviations import ROBOT_SIGMA_FLOOR, StandardDeviations
 from .view_statistics import ViewStatistics, with_prior_sigmas
 
 

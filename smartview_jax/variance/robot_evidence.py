@@ -17,7 +17,8 @@ from ..robot_errors import (
     RobotPrior,
 )
 from ..runtime.blas_threads import on_one_blas_thread
-from .likelihood import LinearisedViews, StandardDeviations, marginalise
+from .likelihood import marginalise
+from .linearised_views import LinearisedViews
 from .model_selection import (
     SHAPE_GROUPS,
     TARGET_GROUPS,
@@ -26,6 +27,7 @@ from .model_selection import (
     initial_standard_deviations,
     standard_deviation_prior,
 )
+from .standard_deviations import StandardDeviations
 from .view_statistics import ViewStatistics
 
 VAGUE_ERROR_FACTOR = 10.0

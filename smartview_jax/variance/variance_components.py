@@ -22,13 +22,8 @@ from .averaged_fit import AveragedFit, SecondPass, average_over_models, averaged
 from .depth_weights import with_weighed_depths
 from .directional_fit import fit_by_direction
 from .lens_terms import lens_evidence
-from .likelihood import (
-    ROBOT_SIGMA_FLOOR,
-    LinearisedViews,
-    StandardDeviations,
-    marginalise,
-    posterior_mode_step,
-)
+from .likelihood import marginalise, posterior_mode_step
+from .linearised_views import LinearisedViews
 from .model_comparison import (
     ModelComparison,
     compare_models,
@@ -40,6 +35,7 @@ from .model_selection import (
 )
 from .noise_estimate import NoiseEstimate, TargetShapeEstimate
 from .possible_models import is_possible
+from .standard_deviations import ROBOT_SIGMA_FLOOR, StandardDeviations
 
 
 def estimate_noise(

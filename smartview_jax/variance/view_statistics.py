@@ -30,8 +30,9 @@ from ..engine import (
 )
 from ..runtime.compilation import compiled
 from ..runtime.modules import with_fields
-from .likelihood import LinearisedViews, StandardDeviations
+from .linearised_views import LinearisedViews
 from .model_selection import SHAPE_GROUPS, TARGET_SHAPE
+from .standard_deviations import StandardDeviations
 
 _Problem = TypeVar("_Problem", bound=AbstractProblem)
 

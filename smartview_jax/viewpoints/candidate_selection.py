@@ -13,6 +13,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
+from ..geometry import host_matrices
 from ..runtime.array_namespace import AnyArray, to_device
 from ..runtime.compilation import compiled_optimised
 from .optimality_criteria import OptimalityCriterion
@@ -67,6 +68,25 @@ def require_enough(count: int, allowed: Bool[AnyArray, "candidates"], kind: str)
     if count > most:
         raise ValueError(
             f"{count} {kind} requested, but only {most} of {len(allowed)} candidates may be taken"
+        )
+
+
+def require_metres(poses: SE3, farthest: float, place: str) -> None:
+    """Raise a ValueError if a candidate is farther than an arm gets, as in millimetres.
+
+    A target that far away is a dot in the picture, so that nothing else would tell.
+
+    Args:
+        poses: of the candidates; poses that are not finite are passed over.
+        farthest: largest distance that is possible, m.
+        place: what the distance is from, for the message.
+    """
+    distance = np.linalg.norm(host_matrices(poses)[:, :3, 3], axis=1)
+    far = np.flatnonzero(distance > farthest)
+    if len(far):
+        raise ValueError(
+            f"views: candidate {far[0]} is {distance[far[0]]:.4g} m from {place}, and no arm gets "
+            "that far: millimetres given as metres?"
         )
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from ..dataset import Rig
 from ..geometry import host_matrices, host_transforms
-from ..robots import CommandLike
+from ..robots import MAX_TOOL_COORDINATE, CommandLike, as_command
 from ..runtime.array_namespace import to_device
 from .candidate_selection import (
     ViewRequirements,
@@ -17,6 +17,7 @@ from .candidate_selection import (
     cumulative_criterion,
     order_by_gain,
     require_enough,
+    require_metres,
 )
 from .optimality_criteria import OptimalityCriterion
 from .rig_information import RigInformationModel
@@ -59,11 +60,13 @@ def choose_states(
     `ViewRequirements`.
 
     Raises:
-        ValueError: fewer than `count` candidates may be taken.
+        ValueError: fewer than `count` candidates may be taken, or one is farther than arms get.
     """
     say = progress or (lambda _: None)
     rig = candidates
     if not isinstance(candidates, Rig):
+        command = as_command(candidates)
+        require_metres(command.base_from_tool, MAX_TOOL_COORDINATE, "the robot's base")
         say("computing what each camera would see")
         rig = model.planned(candidates, needs.border_margin)
     assert isinstance(rig, Rig)

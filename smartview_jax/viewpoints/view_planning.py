@@ -13,7 +13,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
 from ..dataset import Rig
-from ..robots import CommandLike
+from ..robots import MAX_TOOL_COORDINATE, CommandLike
 from ..runtime.array_namespace import AnyArray, to_device
 from ..runtime.compilation import compiled_optimised, one_program
 from .candidate_selection import (
@@ -23,6 +23,7 @@ from .candidate_selection import (
     cumulative_criterion,
     order_by_gain,
     require_enough,
+    require_metres,
 )
 from .information_model import InformationModel
 from .optimality_criteria import OptimalityCriterion
@@ -122,8 +123,8 @@ def choose_views(
 
     Raises:
         TypeError: views of a wrong type.
-        ValueError: fewer than `count` candidates may be taken (one that is not finite never), or
-            a requirement out of range.
+        ValueError: fewer than `count` candidates may be taken (one that is not finite never), a
+            candidate farther than arms get, or a requirement out of range.
 
     For example:
 
@@ -161,6 +162,7 @@ def choose_views(
         candidates = views.poses(coordinates)
     else:
         coordinates, candidates = None, views
+    require_metres(candidates, _farthest(information_model), "the target")
     number = candidates.wxyz_xyz.shape[0]
     say(f"checking {number} candidate views")
     admissible = is_admissible(candidates)
@@ -197,6 +199,13 @@ def choose_views(
         cumulative_criterion(selected_information, prior, criterion),
         criterion.unit,
     )
+
+
+def _farthest(information_model: InformationModel) -> float:
+    """Return the largest distance from camera to target that an arm allows, m."""
+    transforms = information_model.calibration.transforms.values()
+    lengths = [np.linalg.norm(np.asarray(part.wxyz_xyz)[4:]) for part in transforms]
+    return MAX_TOOL_COORDINATE + float(np.sum(lengths))
 
 
 @one_program

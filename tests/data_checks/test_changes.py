@@ -4,6 +4,7 @@ The poses are made by SciPy's rotations and plain products of matrices.
 """
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -48,6 +49,20 @@ def test_the_words_follow_the_mount():
     assert "base frame" in report.sentence("eye_to_hand", IDS)
     pushed = find_change(*motions(target_push=KNOCK), EVERY_VIEW)
     assert "the target had been moved in the hand" in pushed.sentence("eye_to_hand", IDS)
+
+
+@pytest.mark.parametrize("turns", [1, 2])
+def test_pictures_that_are_turned_from_a_view_on_are_no_moved_camera(turns):
+    """A program that reads a picture's orientation, or a viewer, turned the later half."""
+    robot, camera = motions()
+    seen = host_matrices(camera).copy()
+    seen[FIRST_CHANGED:] = transform([0.0, 0.0, 90.0 * turns], [0.0] * 3) @ seen[FIRST_CHANGED:]
+    sentence = find_change(robot, as_se3(seen), EVERY_VIEW).sentence("eye_in_hand", IDS)
+    by = f"{90 * turns}|{360 - 90 * turns}"
+    assert re.search(
+        f"from view v8 on.* as if the pictures had been turned by ({by}) deg", sentence
+    )
+    assert sentence.endswith("Turn them back")
 
 
 @pytest.mark.parametrize("noise", [(2e-4, 0.02), (5e-3, 0.5)])

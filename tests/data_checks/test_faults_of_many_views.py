@@ -30,7 +30,7 @@ def fault_of(robot, camera, length_ratio=1.0, distances=None):
 def test_a_target_of_another_size_is_no_change():
     """Where the robot works in two places, lengths that are too short look like a moved target."""
     robot, _ = moving_alike(3)
-    robot[8:] = robot[8:] @ transform([0.0, 0.0, 0.0], [0.5, 0.0, 0.0])
+    robot[8:] = robot[8:] @ transform([0.0, 0.0, 0.0], [1.0, 0.0, 0.0])
     camera = CAMERA_FROM_MOUNT @ robot @ HOLDER_FROM_WORLD
     camera[:, :3, 3] *= 1.1
     as_reported = fault_of(robot, camera)

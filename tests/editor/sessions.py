@@ -9,11 +9,11 @@ def open_session(scene, path=None, **given):
     return ModelSession(scene.calibration, scene.base_from_tool, scene.pictures, path=path, **given)
 
 
-def click_all(session, scene, views=(0, 1, 3), seed=0):
-    """Click every vertex in some views; return the ids."""
+def click_all(session, scene, views=(0, 1, 3), seed=0, vertices=None):
+    """Click every vertex, or those that are given, in some views; return the ids."""
     rng = np.random.default_rng(seed)
     ids = []
-    for vertex in range(len(scene.truth.vertices)):
+    for vertex in range(len(scene.truth.vertices)) if vertices is None else vertices:
         point = None
         for view in views:
             pixel = scene.click(view, vertex, rng)

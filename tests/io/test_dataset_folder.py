@@ -150,9 +150,12 @@ def test_a_view_without_detection_stays_an_empty_view(folder):
 
 
 def test_a_missing_picture_is_an_error_or_a_masked_view(folder):
+    """It is an error at once: nobody waits until all pictures before it are searched."""
     (folder / "images/1.png").unlink()
+    said = []
     with pytest.raises(FileNotFoundError, match=r"1\.png: no such picture"):
-        load_dataset(folder)
+        load_dataset(folder, progress=said.append)
+    assert not [text for text in said if "looking for the target" in text]
     data = load_dataset(folder, bad_views="mask")
     assert data.masked_views[0][0] == "1"
     assert "no such picture" in data.masked_views[0][1]

@@ -301,7 +301,7 @@ MAY_BE_EMPTY = {"object", "face", "grasp", "journal"}
 WRITERS = {
     "calibration/calibration.py save": "calibration in YAML",
     "io/csv_tables.py write_table": "misses",
-    "cli/calibrate_poses.py write": "(the package's own)",
+    "cli/calibrate_poses.py write_files": "(the package's own)",
     "io/dataset_folder.py write_described_folder": "description",
     "io/detections.py write_detections": "data set",
     "io/detections.py write_kept_detections": "kept detections",

@@ -13,7 +13,8 @@ import numpy as np
 
 from smartview_jax.engine.parameters import Step
 from smartview_jax.engine.schur import BlockArrow
-from smartview_jax.variance.likelihood import LinearisedViews, StandardDeviations
+from smartview_jax.variance.linearised_views import LinearisedViews
+from smartview_jax.variance.standard_deviations import StandardDeviations
 
 CAMERA, MOUNT, FIELD, VIEWS = 3, 4, (2, 3), 30
 SHARED = CAMERA + MOUNT + sum(FIELD)

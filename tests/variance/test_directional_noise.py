@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
 from smartview_jax.runtime.modules import with_fields
-from smartview_jax.variance.directional_noise import estimate_directions, in_own_axes
+from smartview_jax.variance.directional_search import estimate_directions
 from smartview_jax.variance.fisher_scoring import LikelihoodMaximum
 from smartview_jax.variance.kenward_roger import small_sample_correction
 from smartview_jax.variance.likelihood import marginalise
@@ -195,7 +195,7 @@ def own_axes(views, noise):
     sizes = TRUTH._replace(
         translation=np.array(noise.translation), rotation=np.array(noise.rotation)
     )
-    return in_own_axes(views, noise.roots), sizes
+    return views.in_own_axes(noise.roots), sizes
 
 
 def test_the_estimate_along_these_axes_is_generalised_least_squares(world):

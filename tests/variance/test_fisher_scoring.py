@@ -18,14 +18,11 @@ from scipy.optimize import minimize
 
 from smartview_jax.runtime.modules import with_fields
 from smartview_jax.variance import fisher_scoring
-from smartview_jax.variance.fisher_scoring import fisher_information, maximise, maximise_each
-from smartview_jax.variance.likelihood import (
-    ROBOT_SIGMA_FLOOR,
-    StandardDeviations,
-    gradient,
-    kinds_of,
-    marginalise,
-)
+from smartview_jax.variance.fisher_information import fisher_information
+from smartview_jax.variance.fisher_scoring import maximise, maximise_each
+from smartview_jax.variance.likelihood import gradient, marginalise
+from smartview_jax.variance.linearised_views import kinds_of
+from smartview_jax.variance.standard_deviations import ROBOT_SIGMA_FLOOR, StandardDeviations
 
 ALL_ACTIVE = np.ones(4, dtype=bool)
 

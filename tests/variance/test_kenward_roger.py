@@ -19,7 +19,8 @@ from linear_world import (
 
 from smartview_jax.variance.fisher_scoring import maximise
 from smartview_jax.variance.kenward_roger import p_value, small_sample_correction
-from smartview_jax.variance.likelihood import StandardDeviations, marginalise
+from smartview_jax.variance.likelihood import marginalise
+from smartview_jax.variance.standard_deviations import StandardDeviations
 
 FITTED = np.flatnonzero(GROUP < 0)
 

@@ -18,14 +18,9 @@ from linear_world import (
 )
 from scipy.stats import multivariate_normal
 
-from smartview_jax.variance.fisher_scoring import fisher_information
-from smartview_jax.variance.likelihood import (
-    deviance,
-    gradient,
-    kinds_of,
-    marginalise,
-    posterior_mode_step,
-)
+from smartview_jax.variance.fisher_information import fisher_information
+from smartview_jax.variance.likelihood import deviance, gradient, marginalise, posterior_mode_step
+from smartview_jax.variance.linearised_views import kinds_of
 
 
 def textbook(world, observed, sizes):

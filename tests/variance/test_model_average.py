@@ -10,9 +10,10 @@ from smartview_jax.engine import TARGET_SCALE
 from smartview_jax.joint.gross_errors import without_views
 from smartview_jax.joint.joint_fit import half_width
 from smartview_jax.variance.fisher_scoring import LikelihoodMaximum
-from smartview_jax.variance.likelihood import ROBOT_SIGMA_FLOOR, StandardDeviations, marginalise
+from smartview_jax.variance.likelihood import marginalise
 from smartview_jax.variance.model_average import averaged_models, between_models_covariance
 from smartview_jax.variance.model_selection import FittedCandidate, ModelName
+from smartview_jax.variance.standard_deviations import ROBOT_SIGMA_FLOOR, StandardDeviations
 
 STATED, OTHER = ModelName("white"), ModelName("white", (TARGET_SCALE,))
 SIZE = CAMERA

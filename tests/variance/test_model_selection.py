@@ -19,7 +19,7 @@ from smartview_jax.variance.fisher_scoring import (
     StandardDeviationPrior,
     maximise,
 )
-from smartview_jax.variance.likelihood import ROBOT_SIGMA_FLOOR, StandardDeviations, marginalise
+from smartview_jax.variance.likelihood import marginalise
 from smartview_jax.variance.model_selection import (
     MIN_GENERIC_ARM_VIEWS,
     FittedCandidate,
@@ -29,6 +29,7 @@ from smartview_jax.variance.model_selection import (
     log_evidence,
     posterior_probabilities,
 )
+from smartview_jax.variance.standard_deviations import ROBOT_SIGMA_FLOOR, StandardDeviations
 from smartview_jax.variance.variance_components import estimate_noise
 
 

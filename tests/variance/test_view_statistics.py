@@ -7,7 +7,7 @@ from starts import nudged
 from smartview_jax import Noise, Prior
 from smartview_jax.engine import build_problem, solve
 from smartview_jax.robot_errors import LinearInPosition
-from smartview_jax.variance.likelihood import StandardDeviations
+from smartview_jax.variance.standard_deviations import StandardDeviations
 from smartview_jax.variance.view_statistics import (
     ViewStatistics,
     with_free_poses,

@@ -182,6 +182,9 @@ def test_states_that_may_not_be_taken_are_not(pair, commands):
     away = SE3(jnp.asarray(commands.wxyz_xyz).at[3, 4:].add(1.0))
     with pytest.raises(ValueError, match="12 states requested, but only 11 of 12 candidates"):
         choose_views(model, d_optimal(), 12, away, min_visible_fraction=0.3)
+    in_millimetres = SE3(jnp.asarray(commands.wxyz_xyz).at[:, 4:].multiply(1e3))
+    with pytest.raises(ValueError, match=r"from the robot's base, .*: millimetres given as metr"):
+        choose_views(model, d_optimal(), CHOSEN, in_millimetres)
     with pytest.raises(TypeError, match="of a rig, expected states of the robot or a Rig"):
         choose_views(model, d_optimal(), 3, ViewRange(CENTRE, (0.17, 0.25), 0.7))
     with pytest.raises(ValueError, match="expected a camera of left, right, found 'middle'"):

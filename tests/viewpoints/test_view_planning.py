@@ -266,6 +266,17 @@ def test_a_pose_that_is_not_finite_is_not_chosen_and_changes_no_other(directions
             np.testing.assert_allclose(chosen, others.camera_from_world.wxyz_xyz)
 
 
+def test_candidates_in_millimetres_are_refused(directions, candidates):
+    """The whole target is in the picture, but as a dot."""
+    in_millimetres = SE3(candidates[0].wxyz_xyz.at[:, 4:].multiply(1e3))
+    distance = np.linalg.norm(in_millimetres.translation()[0])
+    words = f"candidate 0 is {distance:.4g} m from the target, .*: millimetres given as metres"
+    with pytest.raises(ValueError, match=words):
+        choose_views(directions, d_optimal(), CHOSEN, in_millimetres)
+    with pytest.raises(ValueError, match="millimetres given as metres"):
+        choose_views(directions, d_optimal(), CHOSEN, ViewRange(1e3 * CENTRE, (170.0, 250.0), 0.7))
+
+
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [

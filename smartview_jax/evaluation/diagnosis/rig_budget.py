@@ -10,10 +10,8 @@ from jaxtyping import Bool, Float
 from ...dataset import Rig
 from ...engine import (
     ROBOT_ERROR,
-    ScaledJacobian,
-    covariance,
+    FitCovariance,
     is_size,
-    reduced_equations,
     solve,
     step_names,
 )
@@ -167,10 +165,9 @@ def covariance_by_cause(fit: RigFit) -> dict[str, Float[np.ndarray, "free free"]
     problem, names = fit.built.problem, fit.parameter_names
     # The program of the fit gives the equations at its solution, so that nothing is compiled.
     _, equations = solve(problem, start=fit.solution.z)
-    reduced = reduced_equations(equations.matrix)
-    gain, norms = reduced.gain, np.sqrt(np.diagonal(np.asarray(equations.matrix.shared)))
     # As in the fit, before what estimated sizes of the errors add.
-    known, _ = covariance(ScaledJacobian(reduced.schur_complement, norms), 1.0)
+    uncertainty = FitCovariance.of(equations.matrix)
+    gain, known = uncertainty.reduced.gain, uncertainty.shared
     # The estimate's error is P (J^T e)_shared - P sum_s K_s^T (J^T e)_s, with K_s the gain of a
     # state's own parameters. A prior's whitened error has the covariance 1:
     #     of shared parameters P W^2 P, with W its weights; of states P sum_s K_s^T W_s^2 K_s P.

@@ -122,10 +122,11 @@ def test_axes_count_the_turns_about_them():
 def test_a_model_is_as_inexact_as_it_is_far_from_its_symmetry(tolerance):
     """Vertices of a cube scattered by NumPy, and the cube's own symmetry."""
     exact, rng, squares = box(0.03, 0.03, 0.03), np.random.default_rng(3), []
+    symmetry = find_symmetry(exact)
     for _ in range(200):
         scattered = exact.vertices + rng.normal(0.0, 0.2e-3, exact.vertices.shape)
         model = ObjectModel(scattered, exact.edges, tolerance=tolerance)
-        model = dataclasses.replace(model, symmetry=find_symmetry(exact))
+        model = dataclasses.replace(model, symmetry=symmetry)
         squares.append(shape_sigma(model) ** 2)
     assert np.sqrt(np.mean(squares)) == pytest.approx(np.hypot(0.2e-3, tolerance), rel=0.03)
 
