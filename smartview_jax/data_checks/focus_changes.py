@@ -9,7 +9,8 @@ criterion. Points in pictures tell the distance less well than the direction, by
 follows from their noise and is part of each kind.
 
 Where single pictures explain the errors better than a change in all of them, as a picture that was
-zoomed, cropped or taken by another camera, these views are named.
+zoomed, cropped or taken by another camera, these views are named. So is the first view of all later
+ones, where one change explains them better.
 """
 
 from collections.abc import Sequence
@@ -22,6 +23,7 @@ from scipy.optimize import minimize
 
 from ..argument_checks import listed
 from ..calibration import mount_frames
+from .changes import ChangeOptions
 from .largest_group import MAX_DISAGREEMENT, largest_group
 from .misfit_evidence import MIN_VARIANCE, VERY_STRONG_EVIDENCE
 from .position_equations import fit_positions, robot_column, transform_columns
@@ -47,8 +49,10 @@ class FocusChange(NamedTuple):
     Attributes:
         relative_std: standard deviation of the focal length, over its mean.
         along, across: standard deviations of the errors along the optical axis and across it, m.
-        views: indices of the only views with another focal length; empty if it changes in all.
+        views: indices of the only views with another focal length, or of the first of all that
+            have it; empty if it changes in all.
         ratios: their focal lengths over the other views'.
+        is_once: whether the focal length changed once, before the only one of `views`.
     """
 
     relative_std: float
@@ -56,6 +60,7 @@ class FocusChange(NamedTuple):
     across: float
     views: tuple[int, ...] = ()
     ratios: tuple[float, ...] = ()
+    is_once: bool = False
 
     def sentence(self, view_ids: Sequence[str]) -> str:
         """Return the fault of the pictures in words, and what to do.
@@ -63,6 +68,13 @@ class FocusChange(NamedTuple):
         Args:
             view_ids: names of all views.
         """
+        if self.is_once:
+            return (
+                f"from view {view_ids[self.views[0]]} on, the focal length seems to be another "
+                f"({100.0 * (self.ratios[0] - 1.0):+.2g} %), as if the lens had zoomed or focused "
+                "once, or later pictures were cut and resized: without this, robot and camera agree "
+                f"to {1e3 * self.across:.2g} mm. Calibrate the two parts separately"
+            )
         if self.views:
             names = [
                 f"{view_ids[view]} ({100.0 * (ratio - 1.0):+.2g} %)"
@@ -73,7 +85,7 @@ class FocusChange(NamedTuple):
                 f"the focal length seems to be another in view{'s' * several} "
                 f"{listed(names)}, as in {'' if several else 'a '}picture"
                 f"{'s' * several} with another zoom or focus, of another camera, or cut and "
-                "resized: without this robot and camera agree to "
+                "resized: without this, robot and camera agree to "
                 f"{1e3 * self.across:.2g} mm. Take {'them' if several else 'it'} again, or leave "
                 f"{'them' if several else 'it'} out"
             )
@@ -193,7 +205,38 @@ def find_focus_change(
     if any(errors.likelihood(axis).deviance - focus.deviance < least_gain for axis in axes):
         return None
     change = FocusChange(size, size * median_distance(camera), focus.sigma)
-    return _change_of_single_views(errors, along, views, focus.deviance + numbers) or change
+    to_beat = focus.deviance + numbers
+    return (
+        _change_of_later_views(errors, along, views, to_beat)
+        or _change_of_single_views(errors, along, views, to_beat)
+        or change
+    )
+
+
+def _change_of_later_views(
+    errors: "_Positions",
+    along: Float[np.ndarray, "views 3"],
+    views: Int[np.ndarray, "views"],
+    deviance_to_beat: float,
+) -> FocusChange | None:
+    """Return the change if another focal length from a view on explains the errors better; or None.
+
+    The arguments are as of `_change_of_single_views`.
+    """
+    count, fewest = len(views), ChangeOptions().min_views_on_a_side
+    places = np.arange(fewest, count - fewest + 1)
+    is_later = np.arange(count) >= places[:, None]
+    later = is_later[errors.most_explaining(along, is_later)[0]]
+    explained = errors.with_free_groups(along, later[None])
+    fit = explained.likelihood(None)
+    # Two numbers: the focal length, and the place.
+    if fit.deviance + np.log(3.0 * count) + 2.0 * np.log(len(places)) >= deviance_to_beat:
+        return None
+    share = float(fit_positions(explained.columns, errors.positions).numbers[-1])
+    relative = abs(share) * float(np.sqrt(np.mean(later) * np.mean(~later)))
+    size = relative * float(np.median(along[:, 2]))
+    first = int(views[np.argmax(later)])
+    return FocusChange(relative, size, fit.sigma, (first,), (1.0 - share,), is_once=True)
 
 
 def _change_of_single_views(
@@ -211,16 +254,17 @@ def _change_of_single_views(
         deviance_to_beat: of a focal length that changes in all views, with its number's penalty.
     """
     count, chosen = len(views), list[int]()
+    each_view = np.eye(count, dtype=bool)
     # A number for each view, which may be any.
     penalty = np.log(3.0 * count) + 2.0 * np.log(count)
     explained = errors
     while len(chosen) < MAX_REJECTED_FRACTION * count - 1.0:
-        view, left_over = explained.most_explaining(along)
+        view, left_over = explained.most_explaining(along, each_view)
         # By less than its number costs no view stands out from the others.
         if -3.0 * count * np.log(left_over) < penalty:
             return None
         chosen.append(view)
-        explained = errors.with_free_views(along, chosen)
+        explained = errors.with_free_groups(along, each_view[chosen])
         fit = explained.likelihood(None)
         if fit.deviance + len(chosen) * penalty < deviance_to_beat:
             shares = fit_positions(explained.columns, errors.positions).numbers[-len(chosen) :]
@@ -284,30 +328,33 @@ class _Positions(NamedTuple):
         equations = np.concatenate([basis, positions[..., None]], axis=2)
         return cls(columns, positions, noise, equations)
 
-    def with_free_views(
-        self, vectors: Float[np.ndarray, "views 3"], free: list[int]
+    def with_free_groups(
+        self, vectors: Float[np.ndarray, "views 3"], groups: Bool[np.ndarray, "groups views"]
     ) -> "_Positions":
-        """Return the positions if some views move along their vectors, each by its own number."""
-        columns = np.zeros((len(vectors), 3, len(free)))
-        columns[free, :, np.arange(len(free))] = vectors[free]
+        """Return the positions if groups of views move along their vectors, each by one number."""
+        columns = np.where(groups[..., None], vectors, 0.0).transpose(1, 2, 0)
         columns = np.concatenate([self.columns, columns], axis=2)
         return _Positions.of(columns, self.positions, self.noise)
 
-    def most_explaining(self, vectors: Float[np.ndarray, "views 3"]) -> tuple[int, float]:
-        """Return the view whose error along its vector explains most, and what it leaves over.
+    def most_explaining(
+        self, vectors: Float[np.ndarray, "views 3"], groups: Bool[np.ndarray, "groups views"]
+    ) -> tuple[int, float]:
+        """Return which group's error along its vectors explains most, and what it leaves over.
 
         What it leaves over is the ratio of the sums of squares with and without its column.
         """
         basis = self.equations[:, :, :-1]
         flat = basis.reshape(-1, basis.shape[2])
         errors = self.positions - basis @ (flat.T @ self.positions.ravel())
-        # Of a view's column c, what no other column has is (I - B B^T) c, with the basis B.
-        own = np.sum(vectors**2, axis=1) - np.sum(np.einsum("vin,vi->vn", basis, vectors) ** 2, 1)
-        is_free = own > 1e-9 * np.sum(vectors**2, axis=1)
-        explained = np.sum(errors * vectors, axis=1) ** 2 / np.where(is_free, own, np.inf)
+        # Of a group's column c, what no other column has is (I - B B^T) c, with the basis B.
+        squares = groups @ np.sum(vectors**2, axis=1)
+        shared = groups @ np.einsum("vin,vi->vn", basis, vectors)
+        own = squares - np.sum(shared**2, axis=1)
+        along = groups @ np.sum(errors * vectors, axis=1)
+        explained = along**2 / np.where(own > 1e-9 * squares, own, np.inf)
         best = int(np.argmax(explained))
-        squares = max(float(np.sum(errors**2)), 1e-300)
-        return best, max(1.0 - float(explained[best]) / squares, 1e-12)
+        total = max(float(np.sum(errors**2)), 1e-300)
+        return best, max(1.0 - float(explained[best]) / total, 1e-12)
 
     @property
     def sigma(self) -> float:

@@ -138,7 +138,7 @@ def check_motion(data: Dataset, views: PairedViews) -> MotionChecks:
     if views.choice is None and not report.explained:
         report = _with_mistake_in_joints(report, data, common.camera_from_world, used)
     camera_doubt, doubts = pictures.doubts(used)
-    if views.choice is None and not report.explained:
+    if not report.explained:
         report = _with_fault_of_many_views(report, data, pictures, camera_doubt is None)
     # A target that bends does not hide a mistake that explains how robot and camera move.
     is_explained = report.explained or bool(report.change)

@@ -66,6 +66,20 @@ def test_single_pictures_with_another_focal_length_are_named(ratios):
     assert "Switch autofocus off" not in named
 
 
+@pytest.mark.parametrize(("first", "ratio"), [(4, 1.05), (7, 0.97), (VIEWS - 4, 1.02)])
+def test_a_focal_length_that_changed_once_is_told_from_which_view_on(first, ratio):
+    robot, camera = moving_alike(2)
+    zoomed = camera.copy()
+    zoomed[first:, 2, 3] += (1.0 / ratio - 1.0) * depths(camera)[first:]
+    change = found(robot, zoomed)
+    assert change.is_once
+    assert change.views == (first,)
+    assert change.ratios[0] == pytest.approx(ratio, abs=0.005)
+    named = change.sentence([f"n{k}" for k in range(VIEWS)])
+    assert named.startswith(f"from view n{first} on, the focal length")
+    assert f"({100.0 * (change.ratios[0] - 1.0):+.2g} %)" in named
+
+
 @pytest.mark.parametrize("noise", [(2e-4, 0.02), (2e-3, 0.2)])
 def test_a_robot_that_errs_alike_in_all_directions_is_left_in_peace(noise):
     assert all(found(*moving_alike(seed, noise=noise)) is None for seed in range(4))
@@ -134,25 +148,27 @@ def test_the_likeliest_errors_are_those_that_scipy_finds():
     assert found.deviance == pytest.approx(expected.fun, abs=1e-4)
 
 
-def test_the_view_that_explains_most_is_found_as_by_trying_all():
+@pytest.mark.parametrize("groups", [np.eye(VIEWS, dtype=bool), np.tri(VIEWS, dtype=bool)[:-1]])
+def test_the_group_that_explains_most_is_found_as_by_trying_all(groups):
     rng = np.random.default_rng(0)
     columns, vectors = rng.normal(size=(VIEWS, 3, 4)), rng.normal(size=(VIEWS, 3))
     errors = _Positions.of(columns, rng.normal(size=(VIEWS, 3)), np.zeros((VIEWS, 3, 3)))
     chosen = list[int]()
     for _ in range(3):
-        given = errors.with_free_views(vectors, chosen)
-        sigmas = [errors.with_free_views(vectors, [*chosen, k]).sigma for k in range(VIEWS)]
-        view, left_over = given.most_explaining(vectors)
-        assert view == np.argmin(sigmas)
-        assert left_over == pytest.approx((sigmas[view] / given.sigma) ** 2)
-        chosen.append(view)
+        given = errors.with_free_groups(vectors, groups[chosen])
+        tried = [groups[[*chosen, k]] for k in range(len(groups))]
+        sigmas = [errors.with_free_groups(vectors, groups).sigma for groups in tried]
+        best, left_over = given.most_explaining(vectors, groups)
+        assert best == np.argmin(sigmas)
+        assert left_over == pytest.approx((sigmas[best] / given.sigma) ** 2)
+        chosen.append(best)
 
 
 def test_many_pictures_that_all_have_another_focal_length_are_not_tried_one_by_one(monkeypatch):
     tried = []
-    of_views = _Positions.with_free_views
+    of_views = _Positions.with_free_groups
     monkeypatch.setattr(
-        _Positions, "with_free_views", lambda *given: tried.append(given) or of_views(*given)
+        _Positions, "with_free_groups", lambda *given: tried.append(given) or of_views(*given)
     )
     robot, camera = moving_alike(0, views=80)
     changes = np.random.default_rng(0).normal(0.0, 0.006, len(robot))

@@ -3,6 +3,7 @@
 import dataclasses
 
 import cv2
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -63,6 +64,17 @@ def test_the_robot_tells_which_of_two_poses_is_right(mount):
     assert set(np.flatnonzero(before > 0.3)) <= set(choice.exchanged)
     assert choice.explained
     assert choice.warning == ""
+
+
+@pytest.mark.parametrize("mount", ["eye_in_hand", "eye_to_hand"])
+def test_a_lens_that_zoomed_is_told_also_where_views_have_two_poses(mount):
+    scene = tag_scene(mount, side=0.08)
+    assert chosen(scene)[1] is not None
+    pixels, middle = np.array(scene.data.pixels), 0.5 * np.array(CAMERA.image_size)
+    pixels[7:] = middle + 1.05 * (pixels[7:] - middle)
+    zoomed = dataclasses.replace(scene.data, pixels=jnp.asarray(pixels))
+    warnings = fit_staged(zoomed, camera=CAMERA).warnings
+    assert "from view 7 on, the focal length seems to be another (+5" in " ".join(warnings)
 
 
 def test_a_large_board_is_not_asked():
