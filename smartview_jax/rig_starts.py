@@ -242,11 +242,7 @@ def reference_camera(rig: Rig, camera: str, view_counts: Mapping[str, int]) -> s
         camera: name of the camera.
         view_counts: number of usable views of each camera that has enough to be calibrated alone.
     """
-    seeing = [
-        name
-        for name in view_counts
-        if rig.targets[name] == rig.targets[camera] and rig.arms[name] == rig.arms[camera]
-    ]
+    seeing = [name for name in view_counts if rig.see_one_target(name, camera)]
     return max(seeing, key=lambda name: view_counts[name], default=None)
 
 

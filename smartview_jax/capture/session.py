@@ -4,7 +4,6 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
-from types import TracebackType
 from typing import NamedTuple
 
 import numpy as np
@@ -17,14 +16,7 @@ from ..geometry import host_matrices, host_transforms
 from ..io import GrowingDataset, load_dataset
 from ..targets import StackedTarget
 from .coverage import Coverage, coverage
-from .estimation import (
-    CaptureOptions,
-    Estimate,
-    Proposal,
-    estimate,
-    first_proposals,
-    is_near,
-)
+from .estimation import CaptureOptions, Estimate, Proposal, estimate, first_proposals, is_near
 from .motion import refuse_if_stopped
 from .settling import SettleTest, settle_test
 from .sources import Camera, MoveRefusedError, MovingRobot, Reopened, Robot, SourceLostError
@@ -139,12 +131,7 @@ class CaptureSession:
         self._fitting.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop the robot, end the thread that fits, and close camera and robot."""
         self.stop()
         self._closing.set()

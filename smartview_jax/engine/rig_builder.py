@@ -12,7 +12,7 @@ from ..argument_checks import errors_at
 from ..calibration import BASES, Calibration, transform_names
 from ..dataset import Rig, arms_of, is_pair, require_same_set_up
 from ..robot_errors import FieldChoice, checked_field_choice
-from ..runtime.array_namespace import to_device
+from ..runtime.array_namespace import stacked_on_device, to_device
 from ..runtime.padding import padded_counts, repeat_last
 from .abstract_problem import AbstractBuiltProblem
 from .noise import Noise
@@ -303,11 +303,10 @@ def _grouped(
                     rig, camera, starts[camera], prepared, relative_sigmas[camera], (views, points)
                 )
             )
-        stacked = jax.tree.map(
-            lambda *x: to_device(np.stack([np.asarray(y) for y in x])), *problems
-        )
         places = np.array([index[camera] for camera in cameras])
-        groups.append(CameraGroup(stacked, to_device(places), to_device(np.stack(states))))
+        groups.append(
+            CameraGroup(stacked_on_device(problems), to_device(places), to_device(np.stack(states)))
+        )
     return tuple(groups), tuple(tuple(cameras) for cameras in by_kind.values())
 
 

@@ -9,7 +9,7 @@ from jaxlie import SE3
 from jaxtyping import Bool, Float
 
 from ..calibration import mount_frames
-from ..dataset import Dataset
+from ..dataset import Dataset, evenly_spaced
 from ..detection import consistent_ordering, left_out_note, read_picture, shown_instead
 from ..geometry import PoseLike, as_se3, host_matrices
 from ..targets import AbstractTarget, CircleGrid, StackedTarget
@@ -87,7 +87,7 @@ def dataset_from_pictures(
 def _shown_instead(pictures: Mapping[str, Sequence[Path]], target: AbstractTarget) -> str:
     """Return what some pictures show instead of the target, as a clause; empty if nothing known."""
     paths = [path for view_paths in pictures.values() for path in view_paths]
-    asked = np.unique(np.linspace(0, len(paths) - 1, MAX_ASKED_PICTURES).round().astype(int))
+    asked = evenly_spaced(len(paths), MAX_ASKED_PICTURES)
     shown = []
     for path in (paths[k] for k in asked):
         # A picture that cannot be read tells nothing; the reason of its view says so.

@@ -29,6 +29,7 @@ from .pose_start import start_from_poses as start_from_poses
 from .precompile import needs_precompiling as needs_precompiling
 from .precompile import precompile as precompile
 from .relative_pose import RelativePose as RelativePose
+from .relative_pose import RigUncertainty as RigUncertainty
 from .relative_pose import relative_pose as relative_pose
 from .rig_estimate import JOINT_SUFFIX as JOINT_SUFFIX
 from .rig_estimate import RIG_FILE as RIG_FILE

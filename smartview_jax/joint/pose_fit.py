@@ -28,6 +28,7 @@ from ..geometry import PoseLike, host_matrices
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..runtime.blas_threads import on_one_blas_thread
+from ..runtime.modules import fields_of
 from .drifting_tracker import TrackerDrift
 from .fit_text import robot_noise_text
 from .gross_errors import without_views
@@ -76,7 +77,7 @@ class PoseFit(JointFit):
         cls, fit: JointFit, data: PoseDataset, has_camera: bool, drift: TrackerDrift | None
     ) -> "PoseFit":
         """Return the fit of tracked poses, given as a joint fit in units of the tracker's noise."""
-        values = {field.name: getattr(fit, field.name) for field in dataclasses.fields(JointFit)}
+        values = fields_of(fit, JointFit)
         # Also of the pairs that the fit does not use.
         values["residuals"] = to_device(chain_residuals(fit.calibration, data.observations))
         values |= {"pose_format": data.pose_format, "sensor": data.sensor}

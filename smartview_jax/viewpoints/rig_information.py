@@ -87,9 +87,7 @@ class RigInformationModel:
         )
         built = build(rig)
         # Prior information is the square of the weight on each free parameter.
-        problem = built.problem
-        weight = np.asarray(problem.prior_weight.shared)[np.asarray(problem.free)]
-        prior = to_device(np.diag(weight**2))
+        prior = to_device(np.diag(built.problem.host_prior_weight**2))
         return cls(rig, dict(calibrations), build, prior, built.shared_names)
 
     @classmethod

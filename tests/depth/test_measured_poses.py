@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from host_poses import transform_errors
 from scipy.spatial.transform import Rotation
 
 import smartview_jax as sv
@@ -31,12 +32,6 @@ def measured(rng, poses, scale=1.0, offset=0.0, wrong=0.0):
     """What a sensor with this bias measures, with noise, some points missing, and some wrong."""
     sensor = DepthSensor(scale, offset, 0.0, 0.0, 0.0, ACROSS, ALONG)
     return simulate_depth_points(poses, TARGET, sensor, rng, wrong)
-
-
-def pose_errors(found, truth):
-    """Differences of translations, and rotation vectors between poses, in the camera's axes."""
-    turn = found[:, :3, :3] @ truth[:, :3, :3].swapaxes(1, 2)
-    return np.hstack([found[:, :3, 3] - truth[:, :3, 3], Rotation.from_matrix(turn).as_rotvec()])
 
 
 @pytest.fixture(scope="module", params=[0.0, 0.1], ids=["clean", "wrong"])
@@ -80,7 +75,7 @@ def test_noise_does_not_pull_the_scale_where_views_tell_little():
 def test_poses_err_as_stated_and_less_than_by_closed_form(trials):
     squares, errors, closed = [], [], []
     for truth, points, found in trials:
-        off = pose_errors(found.camera_from_world, truth)
+        off = transform_errors(found.camera_from_world, truth)
         information = np.linalg.inv(found.whole_covariance)
         squares += np.einsum("vi,vij,vj->v", off, information, off).tolist()
         errors += np.linalg.norm(off[:, 3:], axis=1).tolist()
