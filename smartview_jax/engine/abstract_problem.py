@@ -291,7 +291,7 @@ class AbstractProblem(HostModule):
 
     @property
     def host_prior_weight(self) -> Float[np.ndarray, "free"]:
-        """One over the prior standard deviation of each free shared parameter; zero is no prior."""
+        """The inverse prior standard deviation of each free shared parameter; 0 is no prior."""
         return np.asarray(self.prior_weight.shared)[np.asarray(self.free)]
 
     def prior_cost(self, z: Step) -> Float[Array, ""]:

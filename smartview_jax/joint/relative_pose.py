@@ -113,7 +113,7 @@ def _with_infinity(numbers: Iterable[float | None]) -> list[float]:
 
 
 class RigUncertainty(NamedTuple):
-    """How well the common parameters of a rig are known.
+    """The uncertainty of the common parameters of a rig.
 
     Attributes:
         parameter_names: names of the free parameters, as of `build_rig` or `build_arms`.
@@ -135,7 +135,7 @@ def relative_pose(
 
     Args:
         calibrations: calibration of each camera, by its name.
-        known: how well they are known.
+        known: their uncertainty.
         first: name of a camera.
         second: name of a camera with the same mount.
 
@@ -165,7 +165,7 @@ def relative_base(
 
     Args:
         bases: transform from each arm's base to the base of the first of all arms.
-        known: how well they are known.
+        known: their uncertainty.
         first, second: names of arms.
 
     Raises:

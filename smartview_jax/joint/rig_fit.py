@@ -298,7 +298,7 @@ class RigFit(eqx.Module):
 
     @property
     def _uncertainty(self) -> RigUncertainty:
-        """How well the common parameters are known."""
+        """The uncertainty of the common parameters."""
         correction = self.small_sample_correction
         return RigUncertainty(self.parameter_names, self.covariance, correction, self.undetermined)
 
