@@ -31,10 +31,10 @@ from ..runtime.blas_threads import on_one_blas_thread
 from ..runtime.modules import fields_of
 from .drifting_tracker import TrackerDrift
 from .fit_text import robot_noise_text
+from .fitted_depth_sensor import with_sensor_error
 from .gross_errors import without_views
 from .joint_fit import JointFit
 from .pose_rounds import PoseRounds, pose_rms, tracked_pose_errors
-from .sensor_error import with_sensor_error
 from .tracker_noise import TrackerPrior
 
 
