@@ -23,7 +23,7 @@ from ..calibration import Calibration
 from ..cameras import Camera
 from ..data_checks import both_inverted_doubt
 from ..dataset import PoseDataset, chain_residuals, repeated_pairs
-from ..engine import Prior
+from ..engine import TARGET_SCALE, ParameterChoice, Prior
 from ..geometry import PoseLike, host_matrices
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
@@ -34,7 +34,7 @@ from .fit_text import robot_noise_text
 from .fitted_depth_sensor import with_sensor_error
 from .gross_errors import without_views
 from .joint_fit import JointFit
-from .pose_rounds import PoseRounds, pose_rms, tracked_pose_errors
+from .pose_rounds import PoseFitOptions, PoseRounds, pose_rms, tracked_pose_errors
 from .tracker_noise import TrackerPrior
 
 
@@ -209,17 +209,15 @@ def fit_poses(
         raise ValueError(f"samples: expected at least 3 pairs of poses, found {count}")
     if data.states_covariance and tracker_prior is not None:
         raise ValueError("tracker_prior: the data set states the covariance of each pose already")
-    rounds = PoseRounds.of(
-        data,
-        start=start,
-        scale=scale,
-        fixed=fixed,
-        priors=priors,
-        robot_prior=robot_prior or RobotPrior(),
-        tracker_prior=tracker_prior or TrackerPrior(),
-        field=field,
-        progress=progress,
+    options = PoseFitOptions(
+        scale,
+        ParameterChoice.of(fixed, (TARGET_SCALE,) if scale else (), priors),
+        robot_prior or RobotPrior(),
+        tracker_prior or TrackerPrior(),
+        field,
+        progress,
     )
+    rounds = PoseRounds.of(data, start, options)
     agreeing = rounds.start.consistent.sum()
     report(f"start: {agreeing} of {len(data.usable_views())} pairs agree")
     found = rounds.fitted()
