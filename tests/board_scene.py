@@ -71,8 +71,7 @@ def single_tag_folder(path):
     """
     scene = random_scene(1, VIEWS, BOARD.points)
     others = np.setdiff1d(np.arange(15), [0, 4, 10, 14])
-    pixels = np.array(scene.data.pixels)
-    pixels[:, others] = np.nan
+    pixels = scene.data.pixels.at[:, others].set(np.nan)
     save_dataset(dataclasses.replace(scene.data, pixels=pixels, target=BOARD), path / "tag")
     scene.calibration.save(path / "camera.yaml")
     return scene

@@ -123,7 +123,7 @@ def choose_views(
 
     Raises:
         TypeError: views of a wrong type.
-        ValueError: fewer than `count` candidates may be taken (one that is not finite never), a
+        ValueError: fewer than `count` candidates may be taken (never one that is not finite), a
             candidate farther than arms get, or a requirement out of range.
 
     For example:
