@@ -369,8 +369,7 @@ def refit_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
     if fit.noise_estimate is not None:
         field, pixel = fit.noise_estimate.encompassing_field, fit.noise_estimate.noise.pixel
         groups = () if field is None else field.group_names
-        # The standard deviation of a group that is held has no effect.
-        noise = Noise(pixel, EXACT_POSE_SIGMA, EXACT_POSE_SIGMA, field=(1.0,) * len(groups))
+        noise = Noise(pixel, EXACT_POSE_SIGMA, EXACT_POSE_SIGMA).with_unit_groups(field)
         held = tuple(f"{ROBOT_ERROR}.{name}" for name in groups)
         options |= {"noise": noise, "field": field, "fixed": (*fixed, *held)}
         if field is not None:

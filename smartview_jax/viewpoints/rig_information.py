@@ -128,12 +128,12 @@ class RigInformationModel:
         rig.require_one_arm("RigInformationModel")
         error = next(iter(estimate.calibrations.values())).robot_error
         # All knowledge of the robot's error is in the covariance; no other prior applies.
-        groups = () if error is None else error.field.groups
+        field = None if error is None else error.field
         build = functools.partial(
             build_rig,
             starts=estimate.calibrations,
-            noise=dataclasses.replace(estimate.noise, field=(1.0,) * len(groups)),
-            field=None if error is None else error.field,
+            noise=estimate.noise.with_unit_groups(field),
+            field=field,
             relative_sigmas={
                 name: sigma / estimate.noise.pixel for name, sigma in pixel_sigmas.items()
             },
