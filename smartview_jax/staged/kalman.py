@@ -213,7 +213,7 @@ class _Trial(NamedTuple):
 
 
 class _State(NamedTuple):
-    """What a pass takes over from the passes before it.
+    """The state between two passes of the filter.
 
     Attributes:
         point: the linearisation point.
