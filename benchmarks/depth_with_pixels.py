@@ -23,7 +23,7 @@ from smartview_jax.calibration import DepthBias
 from smartview_jax.calibration_pipeline import CalibrationFit
 from smartview_jax.dataset import Dataset, DepthNoise
 from smartview_jax.geometry import host_matrices, host_transformed
-from smartview_jax.simulation import paper_calibration, random_target_scene
+from smartview_jax.simulation import paper_calibration, random_target_scene, simulate_depths
 from smartview_jax.targets import Chessboard
 
 from .transform_errors import squared_errors, stated_covariance, transform_errors
@@ -169,10 +169,8 @@ def _draw(seed: int, case: Case) -> dict[str, _Errors]:
     )
     rng = np.random.default_rng((seed, 7))
     poses = host_matrices(truth.camera_from_world(scene.base_from_tool))
-    exact = host_transformed(poses, actual.points)[..., 2]
-    depths = np.array(BIAS.measured(exact)) + NOISE.std(exact) * rng.normal(size=exact.shape)
-    depths[rng.random(exact.shape) < MISSING] = np.nan
-    depths += case.common * rng.normal(size=(VIEWS, 1))
+    noise = dataclasses.replace(NOISE, common=case.common)
+    depths = simulate_depths(poses, actual.points, BIAS, noise, rng, MISSING)
     stated = Chessboard(*BOARD, SQUARE)
     data = Dataset.from_arrays(
         stated.points,

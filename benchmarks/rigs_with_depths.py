@@ -17,13 +17,8 @@ from jaxlie import SE3
 import smartview_jax as sv
 from smartview_jax.calibration import Calibration, DepthBias
 from smartview_jax.dataset import DepthNoise
-from smartview_jax.geometry import (
-    host_exponentials,
-    host_matrices,
-    host_transformed,
-    host_transforms,
-)
-from smartview_jax.simulation import paper_points, random_scene, simulate
+from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms
+from smartview_jax.simulation import paper_points, random_scene, simulate, simulate_depths
 
 from .transform_errors import squared_errors, stated_covariance, transform_errors
 
@@ -133,9 +128,7 @@ def _draw(seed: int) -> dict[str, _Errors]:
     }
     rng = np.random.default_rng((seed, 3))
     poses = host_matrices(left.camera_from_world(scene.base_from_tool))
-    exact = host_transformed(poses, points[0])[..., 2]
-    depths = np.array(BIAS.measured(exact)) + NOISE.std(exact) * rng.normal(size=exact.shape)
-    depths[rng.random(exact.shape) < MISSING] = np.nan
+    depths = simulate_depths(poses, points[0], BIAS, NOISE, rng, MISSING)
     with_depths = {**data, "left": data["left"].with_depths(depths)}
     return {
         "pixels alone": _errors(sv.calibrate(sv.Rig(data), "radial"), truths),
