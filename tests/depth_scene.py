@@ -24,6 +24,13 @@ class DepthScene(NamedTuple):
     depths: np.ndarray
 
 
+def assert_bias_recovered(sensor):
+    """Chi-square with two degrees of freedom: one in ten thousand is beyond."""
+    off = np.array([sensor.scale - float(BIAS.scale), sensor.offset - float(BIAS.offset)])
+    assert off @ np.linalg.solve(sensor.covariance, off) < 18.4
+    assert abs(off[0]) < 0.1 * (float(BIAS.scale) - 1.0)
+
+
 @functools.cache
 def depth_scene(seed, views=8, common=0.0, **noise):
     """The standard scene with depths, where a tenth is missing.

@@ -6,13 +6,12 @@ import re
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from host_poses import transform_errors
+from host_poses import stated_covariance, transform_errors
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import smartview_jax as sv
 from smartview_jax.dataset import DepthSensor, PoseDataset
-from smartview_jax.engine import step_names
 from smartview_jax.evaluation import mean_nees, nees
 from smartview_jax.geometry import host_exponentials, host_matrices, host_transformed
 from smartview_jax.joint import start_from_poses
@@ -48,8 +47,7 @@ def scene(seed, farthest=1.5):
 def error_and_covariance(fit):
     """Of the hand-eye transform: translation, m, and rotation vector in the camera's axes, rad."""
     error = transform_errors(fit.calibration.camera_from_tool, CAMERA_FROM_TOOL)
-    rows = [fit.parameter_names.index(name) for name in step_names("camera_from_tool")]
-    return error, fit.covariance[np.ix_(rows, rows)]
+    return error, stated_covariance(fit, "camera_from_tool")
 
 
 @pytest.fixture(scope="module")

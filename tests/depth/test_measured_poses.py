@@ -18,6 +18,10 @@ TARGET = np.stack([SQUARE * x, SQUARE * y, 0.0 * x], axis=-1).reshape(-1, 3)
 TARGET -= TARGET.mean(axis=0)
 
 
+TOOL_FROM_CAMERA = host_exponentials(np.array([0.02, -0.05, 0.08, 0.1, -0.1, 1.5]))
+BASE_FROM_WORLD = host_exponentials(np.array([0.6, 0.1, 0.0, 0.0, 0.0, 0.4]))
+
+
 def poses_of(rng, views=12, tilt=0.35, distances=(0.4, 0.8)):
     """The target before the sensor, tilted, at different distances."""
     turns = rng.normal(size=(views, 3)) * [tilt, tilt, 1.0]
@@ -106,9 +110,7 @@ def test_points_without_noise_leave_a_finite_covariance_and_no_doubt(along):
     camera_from_world = poses_of(rng, 14)
     sensor = DepthSensor(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, along)
     points = simulate_depth_points(camera_from_world, TARGET, sensor, rng, 0.0)
-    tool_from_camera = host_exponentials(np.array([0.02, -0.05, 0.08, 0.1, -0.1, 1.5]))
-    base_from_world = host_exponentials(np.array([0.6, 0.1, 0.0, 0.0, 0.0, 0.4]))
-    base_from_tool = base_from_world @ np.linalg.inv(tool_from_camera @ camera_from_world)
+    base_from_tool = BASE_FROM_WORLD @ np.linalg.inv(TOOL_FROM_CAMERA @ camera_from_world)
     found = sv.depth.poses_from_points(points, TARGET)
     assert np.linalg.cond(found.covariance).max() < 1e12
     fit = sv.fit_poses(found.dataset(base_from_tool))
@@ -143,12 +145,10 @@ def test_what_is_advised_for_other_axes_is_right():
 def test_without_the_bias_the_hand_eye_transform_would_be_wrong():
     rng = np.random.default_rng(0)
     camera_from_world = poses_of(rng, 14)
-    tool_from_camera = host_exponentials(np.array([0.02, -0.05, 0.08, 0.1, -0.1, 1.5]))
-    base_from_world = host_exponentials(np.array([0.6, 0.1, 0.0, 0.0, 0.0, 0.4]))
-    base_from_tool = base_from_world @ np.linalg.inv(tool_from_camera @ camera_from_world)
+    base_from_tool = BASE_FROM_WORLD @ np.linalg.inv(TOOL_FROM_CAMERA @ camera_from_world)
     found = sv.depth.poses_from_points(measured(rng, camera_from_world, 1.02), TARGET)
     fit = sv.fit_poses(found.dataset(base_from_tool))
-    error = np.asarray(fit.calibration.camera_from_tool.as_matrix()) @ tool_from_camera
+    error = np.asarray(fit.calibration.camera_from_tool.as_matrix()) @ TOOL_FROM_CAMERA
     std = np.array([fit.std[f"camera_from_tool.translation.{axis}"] for axis in "xyz"])
     assert np.linalg.norm(error[:3, 3]) < 4.0 * np.linalg.norm(std)
     # 2 % of 0.6 m are 12 mm.
