@@ -14,7 +14,6 @@ from ..detection import Detection, detect
 from ..editor import OwnerLock
 from ..geometry import host_matrices, host_transforms
 from ..io import GrowingDataset, load_dataset
-from ..targets import StackedTarget
 from .coverage import Coverage, coverage
 from .estimation import CaptureOptions, Estimate, Proposal, estimate, first_proposals, is_near
 from .motion import refuse_if_stopped
@@ -92,7 +91,7 @@ class CaptureSession:
         self._lock = OwnerLock(table.with_name(f"{table.name}.lock"), "capture")
         self.listener: Callable[[str], None] = say or (lambda _: None)
         target = folder.description.target
-        self._board = target.board if isinstance(target, StackedTarget) else target
+        self._board = target.flat_board
         # One thread at a time uses camera and robot.
         self._using = threading.RLock()
         self._stop_motion = threading.Event()

@@ -93,7 +93,7 @@ def _shown_instead(pictures: Mapping[str, Sequence[Path]], target: AbstractTarge
         # A picture that cannot be read tells nothing; the reason of its view says so.
         with suppress(FileNotFoundError, ValueError):
             shown.append(read_picture(path))
-    return shown_instead(shown, target.board if isinstance(target, StackedTarget) else target)
+    return shown_instead(shown, target.flat_board)
 
 
 def _shown_picture(paths: Sequence[Path], visible: Bool[np.ndarray, " points"]) -> Path:
@@ -112,7 +112,7 @@ def _refuse_undetected_rows(
     Circles carry no numbers: if the stated grid is larger than the real one, every view of the real
     grid looks like a partial view of the stated grid, and nothing else reveals the mistake.
     """
-    grid = target.board if isinstance(target, StackedTarget) else target
+    grid = target.flat_board
     if not isinstance(grid, CircleGrid):
         return
     # Whether any view, at any height, shows the circle at each row and column.
@@ -139,7 +139,7 @@ def _consistent_numbering(
     """
     target, mount, holder_from_world = shown.target, shown.mount, shown.holder_from_world
     stacked = isinstance(target, StackedTarget)
-    board = target.board if stacked else target
+    board = target.flat_board
     symmetries = board.symmetries
     if len(symmetries) == 1:
         return pixels, ""

@@ -11,9 +11,8 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxlie import SE3, SO3
+from jaxlie import SE3
 from jaxtyping import Array, Float
 
 from ..calibration import Calibration
@@ -24,7 +23,7 @@ from ..robot_errors import DHErrors, RobotError
 from ..robots import SerialArm, six_axes, solve_joints_iteratively
 from ..runtime.array_namespace import to_device
 from ..runtime.padding import over_padded_views
-from .scenes import random_viewpoints, simulate
+from .scenes import calibration_of, random_viewpoints, simulate
 
 KINEMATIC_ERROR_SIGMA = {
     "joint_offset": float(np.deg2rad(0.05)),
@@ -185,13 +184,7 @@ def true_calibration() -> Calibration:
     """
     lens = OpenCV5(-0.126, 0.0695, 1e-4, 3e-4, -0.03)
     camera = Camera(1056.0, 1056.0, 958.0, 587.0, lens, image_size=(1920, 1200))
-    camera_from_tool = SE3.from_rotation_and_translation(
-        SO3.from_rpy_radians(0.03, -0.05, 0.1), jnp.array([-0.02, 0.06, -0.09])
-    )
-    base_from_world = SE3.from_rotation_and_translation(
-        SO3.from_rpy_radians(0.01, -0.02, 0.15), jnp.array([0.55, -0.12, 0.05])
-    )
-    return Calibration.eye_in_hand(camera, camera_from_tool, base_from_world)
+    return calibration_of(camera, 0.55)
 
 
 def random_kinematic_errors(
