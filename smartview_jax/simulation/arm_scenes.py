@@ -61,6 +61,11 @@ class ArmNoise(NamedTuple):
     translation_noise: float = 2e-5
     rotation_noise: float = float(np.deg2rad(0.003))
 
+    @property
+    def pose_sigmas(self) -> Float[np.ndarray, "6"]:
+        """The standard deviations of a pose's error: translation, then rotation."""
+        return np.repeat([self.translation_noise, self.rotation_noise], 3)
+
 
 class ArmScene(eqx.Module):
     """A simulated data set of an arm, together with its true values.
@@ -131,8 +136,8 @@ def six_axis_scene(
 
     # Random noise applies to the views of the data only: held-out views test the repeatable part.
     #     actual_poses = error.actual_pose(command) exp(noise)^-1
-    noise_sigma = np.repeat([sizes.translation_noise, sizes.rotation_noise], 3)
-    noise_by_view = np.where(np.arange(views + held_out_views)[:, None] < views, noise_sigma, 0.0)
+    with_noise = np.arange(views + held_out_views)[:, None] < views
+    noise_by_view = np.where(with_noise, sizes.pose_sigmas, 0.0)
     twists = host_exponentials(-noise_by_view * rng.standard_normal(noise_by_view.shape))
     command = arm.command(joints)
     actual_poses = as_se3(host_matrices(error.actual_pose(command)) @ twists)
