@@ -34,6 +34,7 @@ from smartview_jax.simulation import simulate_depth_points
 from smartview_jax.targets import Chessboard
 
 from . import depth_with_pixels
+from .transform_errors import squared_errors, stated_covariance, transform_errors
 
 DRAWS, VIEWS = 60, 15
 SENSOR = DepthSensor(1.02, 1e-3, 0.0, 0.0, 0.0, across_std=1e-4, along_std=5e-4)
@@ -153,21 +154,15 @@ def _draw(seed: int, wrong: float, distances: tuple[float, float]) -> _Draw:
         errors[f"{name}, fit_poses"] = _distance(inverse[:3, 3])
     assert fit is not None
     camera_from_tool = host_matrices(fit.calibration.camera_from_tool)
-    off = _pose_errors(camera_from_tool[None], np.linalg.inv(TOOL_FROM_CAMERA)[None])
-    names = [f"camera_from_tool.{p}.{a}" for p in ("translation", "rotation") for a in "xyz"]
-    rows = [fit.parameter_names.index(name) for name in names]
+    error = transform_errors(camera_from_tool, np.linalg.inv(TOOL_FROM_CAMERA))
+    of_poses = transform_errors(measured.camera_from_world, camera_from_world)
     point = host_transformed(np.linalg.inv(camera_from_tool), POINT)
     bound = _hand_eye_bound(camera_from_world, exact, np.isfinite(points[..., 0]))
     return _Draw(
         errors,
         measured.sensor.scale,
-        float(
-            _nees(
-                _pose_errors(measured.camera_from_world, camera_from_world),
-                measured.whole_covariance,
-            ).mean()
-        ),
-        float(_nees(off, fit.covariance[np.ix_(rows, rows)][None])[0]),
+        float(squared_errors(of_poses, measured.whole_covariance).mean()),
+        float(squared_errors(error, stated_covariance(fit, "camera_from_tool"))),
         float(np.linalg.norm(point - host_transformed(TOOL_FROM_CAMERA, POINT))),
         float(np.sqrt(np.trace(bound))),
     )
@@ -207,17 +202,6 @@ def _hand_eye_bound(
     # Points in the camera move by v + w x p, and in the tool's frame by as much, turned.
     lever = np.hstack([np.eye(3), np.cross(np.eye(3), POINT).T])
     return lever @ covariance @ lever.T
-
-
-def _pose_errors(found: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Return differences of translations, and rotation vectors between poses `(views, 6)`."""
-    turn = found[:, :3, :3] @ truth[:, :3, :3].swapaxes(1, 2)
-    return np.hstack([found[:, :3, 3] - truth[:, :3, 3], Rotation.from_matrix(turn).as_rotvec()])
-
-
-def _nees(errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
-    """Return the squared errors in units of their covariances."""
-    return np.einsum("vi,vij,vj->v", errors, np.linalg.inv(covariances), errors)
 
 
 def _distance(tool_from_camera: np.ndarray) -> float:

@@ -17,15 +17,16 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 import smartview_jax as sv
 from smartview_jax.calibration import DepthBias
 from smartview_jax.calibration_pipeline import CalibrationFit
 from smartview_jax.dataset import Dataset, DepthNoise
 from smartview_jax.geometry import host_matrices, host_transformed
-from smartview_jax.simulation import paper_calibration, random_target_scene
+from smartview_jax.simulation import paper_calibration, random_target_scene, simulate_depths
 from smartview_jax.targets import Chessboard
+
+from .transform_errors import squared_errors, stated_covariance, transform_errors
 
 DRAWS, VIEWS = 200, 15
 CAMERA = sv.Camera(600.0, 600.0, 322.0, 238.0, sv.cameras.Radial(-0.1), (640, 480))
@@ -168,10 +169,8 @@ def _draw(seed: int, case: Case) -> dict[str, _Errors]:
     )
     rng = np.random.default_rng((seed, 7))
     poses = host_matrices(truth.camera_from_world(scene.base_from_tool))
-    exact = host_transformed(poses, actual.points)[..., 2]
-    depths = np.array(BIAS.measured(exact)) + NOISE.std(exact) * rng.normal(size=exact.shape)
-    depths[rng.random(exact.shape) < MISSING] = np.nan
-    depths += case.common * rng.normal(size=(VIEWS, 1))
+    noise = dataclasses.replace(NOISE, common=case.common)
+    depths = simulate_depths(poses, actual.points, BIAS, noise, rng, MISSING)
     stated = Chessboard(*BOARD, SQUARE)
     data = Dataset.from_arrays(
         stated.points,
@@ -193,13 +192,10 @@ def _fit_errors(fit: CalibrationFit, truth: np.ndarray, case: Case) -> _Errors:
     """Return the errors of a fit, judged by its covariance."""
     camera_from_tool = host_matrices(fit.calibration.camera_from_tool)
     exact = np.linalg.inv(truth)
-    turn = Rotation.from_matrix(camera_from_tool[:3, :3] @ exact[:3, :3].T).as_rotvec()
-    off = np.concatenate([camera_from_tool[:3, 3] - exact[:3, 3], turn])
-    names = [f"camera_from_tool.{p}.{a}" for p in ("translation", "rotation") for a in "xyz"]
-    rows = [fit.parameter_names.index(name) for name in names]
-    covariance = fit.covariance[np.ix_(rows, rows)]
+    error = transform_errors(camera_from_tool, exact)
+    covariance = stated_covariance(fit, "camera_from_tool")
     return _errors(np.linalg.inv(camera_from_tool), truth)._replace(
-        nees=float(off @ np.linalg.solve(covariance, off)),
+        nees=float(squared_errors(error, covariance)),
         size=float(fit.calibration.target_scale) / case.true_size - 1.0,
         size_std=fit.std.get("target_scale", np.nan),
         scale=np.nan if fit.sensor is None else fit.sensor.scale,
@@ -208,11 +204,11 @@ def _fit_errors(fit: CalibrationFit, truth: np.ndarray, case: Case) -> _Errors:
 
 def _errors(tool_from_camera: np.ndarray, truth: np.ndarray) -> _Errors:
     """Return the errors of a hand-eye transform."""
-    turn = Rotation.from_matrix(tool_from_camera[:3, :3] @ truth[:3, :3].T)
+    error = transform_errors(tool_from_camera, truth)
     point = host_transformed(tool_from_camera, POINT) - host_transformed(truth, POINT)
     return _Errors(
-        float(np.linalg.norm(tool_from_camera[:3, 3] - truth[:3, 3])),
-        float(turn.magnitude()),
+        float(np.linalg.norm(error[:3])),
+        float(np.linalg.norm(error[3:])),
         float(np.linalg.norm(point)),
     )
 

@@ -27,6 +27,8 @@ from smartview_jax.geometry import host_matrices
 from smartview_jax.joint import JointFit
 from smartview_jax.robot_errors import RobotPrior
 
+from .transform_errors import transform_errors
+
 SEEDS, VIEWS = 10, (10, 20, 40)
 
 TWO_CAMERAS = "two cameras"
@@ -163,17 +165,10 @@ def _judged(
     """Return the error of a mount, which of its intervals hold the truth, and the NEES."""
     names = [name for name in fit.parameter_names if name.startswith(f"{path}.")]
     rows = [fit.parameter_names.index(name) for name in names]
-    error = _error(calibration, truth)
+    error = transform_errors(truth, host_matrices(calibration.camera_from_mount))
     widths = np.array([fit.confidence_half_width(name) for name in names])
     nees = error @ np.linalg.solve(fit.covariance[np.ix_(rows, rows)], error)
     return error, np.abs(error) <= widths, float(nees)
-
-
-def _error(calibration: sv.Calibration, truth: np.ndarray) -> np.ndarray:
-    """Return the difference of the mount's translation, m, and its rotation vector, rad."""
-    found = host_matrices(calibration.camera_from_mount)
-    turn = Rotation.from_matrix(truth[:3, :3] @ found[:3, :3].T)
-    return np.concatenate([truth[:3, 3] - found[:3, 3], turn.as_rotvec()])
 
 
 def simulated(robot: str, views: int, mount: str, seed: int) -> tuple[sv.Dataset, np.ndarray]:

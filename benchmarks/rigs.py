@@ -23,17 +23,17 @@ from typing import Any
 import jax
 import jaxlie
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 import smartview_jax as sv
 from smartview_jax.calibration import Calibration
 from smartview_jax.calibration_pipeline import CalibrationFit
-from smartview_jax.engine import build_rig, solve
+from smartview_jax.engine import build_rig, solve, step_names
 from smartview_jax.simulation import paper_calibration, random_scene, six_axis_rig_scene
 
 from . import rigs_with_depths, rigs_workcell
 from .peers.hand_eye import HAS_VISION_CALIBRATION, opencv_stereo, vision_calibration_rig
 from .rigs_workcell import MAX_RATIO, STATES
+from .transform_errors import squared_errors, stated_covariance, transform_errors
 
 SEEDS, DRAWS = 20, 20
 MAX_TIME_RATIO, MAX_GROWTH = 1.03, 4.4
@@ -152,22 +152,15 @@ def _against_stated(
     error: np.ndarray, fit: sv.RigFit | CalibrationFit, prefix: str
 ) -> tuple[float, list[bool]]:
     """Return the squared error in units of the covariance, and which intervals hold the truth."""
-    names = [f"{prefix}camera_from_tool.{part}" for part in PARTS]
-    index = [fit.parameter_names.index(each) for each in names]
-    covariance = np.asarray(fit.covariance)[np.ix_(index, index)]
-    widths = [fit.confidence_half_width(each) for each in names]
-    squared = float(error @ np.linalg.solve(covariance, error))
+    path = f"{prefix}camera_from_tool"
+    widths = [fit.confidence_half_width(name) for name in step_names(path)]
+    squared = float(squared_errors(error, stated_covariance(fit, path)))
     return squared, (np.abs(error) < widths).tolist()
-
-
-PARTS = [f"{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz"]
 
 
 def _error(found: jaxlie.SE3, truth: jaxlie.SE3) -> np.ndarray:
     """Return the error of a transform's translation (m) and rotation (rad)."""
-    own, true = np.asarray(found.as_matrix()), np.asarray(truth.as_matrix())
-    turn = Rotation.from_matrix(own[:3, :3] @ true[:3, :3].T).as_rotvec()
-    return np.concatenate([own[:3, 3] - true[:3, 3], turn])
+    return transform_errors(np.asarray(found.as_matrix()), np.asarray(truth.as_matrix()))
 
 
 def _relative_nees(
@@ -177,7 +170,7 @@ def _relative_nees(
     relative = fit.relative(first, second)
     a, b = (truths[name].camera_from_mount for name in (first, second))
     error = _error(relative.transform, a @ b.inverse())
-    return float(error @ np.linalg.solve(relative.covariance, error))
+    return float(squared_errors(error, relative.covariance))
 
 
 def _stereo(seeds: int) -> bool:

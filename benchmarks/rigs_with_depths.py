@@ -13,18 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
-from scipy.spatial.transform import Rotation
 
 import smartview_jax as sv
 from smartview_jax.calibration import Calibration, DepthBias
 from smartview_jax.dataset import DepthNoise
-from smartview_jax.geometry import (
-    host_exponentials,
-    host_matrices,
-    host_transformed,
-    host_transforms,
-)
-from smartview_jax.simulation import paper_points, random_scene, simulate
+from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms
+from smartview_jax.simulation import paper_points, random_scene, simulate, simulate_depths
+
+from .transform_errors import squared_errors, stated_covariance, transform_errors
 
 DRAWS, VIEWS, PIXEL_NOISE = 30, 16, 0.15
 BIAS, NOISE, MISSING = DepthBias(1.02, 1e-3), DepthNoise(2e-4, 2e-3), 0.1
@@ -132,9 +128,7 @@ def _draw(seed: int) -> dict[str, _Errors]:
     }
     rng = np.random.default_rng((seed, 3))
     poses = host_matrices(left.camera_from_world(scene.base_from_tool))
-    exact = host_transformed(poses, points[0])[..., 2]
-    depths = np.array(BIAS.measured(exact)) + NOISE.std(exact) * rng.normal(size=exact.shape)
-    depths[rng.random(exact.shape) < MISSING] = np.nan
+    depths = simulate_depths(poses, points[0], BIAS, NOISE, rng, MISSING)
     with_depths = {**data, "left": data["left"].with_depths(depths)}
     return {
         "pixels alone": _errors(sv.calibrate(sv.Rig(data), "radial"), truths),
@@ -161,11 +155,7 @@ def _errors(fit: sv.RigFit, truths: dict[str, Calibration]) -> _Errors:
 
 def _against_stated(fit: sv.RigFit, name: str, truth: SE3) -> tuple[float, float, float]:
     """Return the errors of a hand-eye transform, m and rad, and its NEES."""
-    a, b = host_matrices(fit.calibrations[name].camera_from_mount), host_matrices(truth)
-    turn = Rotation.from_matrix(a[:3, :3] @ b[:3, :3].T).as_rotvec()
-    off = np.concatenate([a[:3, 3] - b[:3, 3], turn])
-    steps = [f"{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz"]
-    rows = [fit.parameter_names.index(f"{name}.camera_from_tool.{step}") for step in steps]
-    covariance = np.asarray(fit.covariance)[np.ix_(rows, rows)]
-    nees = float(off @ np.linalg.solve(covariance, off))
-    return float(np.linalg.norm(off[:3])), float(np.linalg.norm(turn)), nees
+    found = host_matrices(fit.calibrations[name].camera_from_mount)
+    error = transform_errors(found, host_matrices(truth))
+    nees = squared_errors(error, stated_covariance(fit, f"{name}.camera_from_tool"))
+    return float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])), float(nees)

@@ -22,6 +22,7 @@ from smartview_jax.engine import STEP_NAMES, host_retract_transform
 from smartview_jax.geometry import host_matrices
 
 from .real_sets import SHARED
+from .transform_errors import transform_errors
 
 STATES = 8
 """Robot states in which each camera sees its target, of those that are drawn."""
@@ -131,9 +132,9 @@ def _distance(camera_from_base: np.ndarray, true: np.ndarray) -> tuple[float, fl
         camera_from_base: the calibrated pose.
         true: `base_from_camera`.
     """
-    pose = np.linalg.inv(camera_from_base)
-    turn = Rotation.from_matrix(true[:3, :3].T @ pose[:3, :3]).magnitude()
-    return 1e3 * float(np.linalg.norm(pose[:3, 3] - true[:3, 3])), float(np.degrees(turn))
+    error = transform_errors(np.linalg.inv(camera_from_base), true)
+    translation, rotation = np.linalg.norm(error.reshape(2, 3), axis=1)
+    return 1e3 * float(translation), float(np.degrees(rotation))
 
 
 def _given_square_pixels(fit: sv.RigFit, truth: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -167,9 +168,7 @@ def _given_square_pixels(fit: sv.RigFit, truth: Mapping[str, np.ndarray]) -> dic
             ("as fitted", host_matrices(start), widths),
             ("given square pixels", poses[name], narrowed),
         ):
-            true = np.linalg.inv(place)
-            turn = Rotation.from_matrix(pose[:3, :3] @ true[:3, :3].T).as_rotvec()
-            error = np.concatenate([pose[:3, 3] - true[:3, 3], turn])
+            error = transform_errors(pose, np.linalg.inv(place))
             shares[kind].append(float((np.abs(error) / half_widths).max()))
     for kind, largest in shares.items():
         text = " and ".join(f"{share:.2f}" for share in largest)

@@ -45,7 +45,7 @@ from .runtime.array_namespace import AnyArray
 from .runtime.blas_threads import on_one_blas_thread
 from .runtime.compilation import refuse_traced
 from .runtime.double_precision import require_double_precision
-from .runtime.modules import module_of, with_fields
+from .runtime.modules import fields_of, module_of, with_fields
 from .staged import (
     StagedFit,
     check_start,
@@ -101,7 +101,7 @@ class CalibrationFit(JointFit):
             data: the data set that both were fitted to.
         """
         joint = with_fields(joint, pose_format=data.pose_format)
-        values = {field.name: getattr(joint, field.name) for field in dataclasses.fields(JointFit)}
+        values = fields_of(joint, JointFit)
         values |= {"rejected": _all_rejected(staged, joint), "warnings": _warnings(staged, joint)}
         return module_of(cls, values | {"staged": staged, "joint": joint, "data": data})
 
@@ -368,9 +368,8 @@ def refit_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
     options: JointOptions = {"noise": "trusted", "fixed": fixed, "free": free}
     if fit.noise_estimate is not None:
         field, pixel = fit.noise_estimate.encompassing_field, fit.noise_estimate.noise.pixel
-        groups = () if field is None else tuple(name for name, _ in field.groups)
-        # The standard deviation of a group that is held has no effect.
-        noise = Noise(pixel, EXACT_POSE_SIGMA, EXACT_POSE_SIGMA, field=(1.0,) * len(groups))
+        groups = () if field is None else field.group_names
+        noise = Noise(pixel, EXACT_POSE_SIGMA, EXACT_POSE_SIGMA).with_unit_groups(field)
         held = tuple(f"{ROBOT_ERROR}.{name}" for name in groups)
         options |= {"noise": noise, "field": field, "fixed": (*fixed, *held)}
         if field is not None:

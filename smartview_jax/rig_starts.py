@@ -7,7 +7,7 @@ import numpy as np
 from jaxlie import SE3
 
 from .argument_checks import errors_at
-from .calibration import Calibration, host_mount_from_holder, transform_names
+from .calibration import Calibration, transform_names
 from .cameras import AbstractLens, Camera
 from .dataset import Dataset, Rig, is_pair
 from .engine import with_lens
@@ -197,7 +197,7 @@ def _with_target_at(reference: Calibration, data: Dataset, staged: StagedFit) ->
     """
     views = np.array(staged.views)
     holder_from_world = host_matrices(reference.holder_from_world)
-    mount_from_holder = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
+    mount_from_holder = host_matrices(data.mount_from_holder)
     seen = host_matrices(staged.step2.camera_from_world)[views]
     mounts = seen @ np.linalg.inv(mount_from_holder[views] @ holder_from_world)
     return dataclasses.replace(
@@ -242,11 +242,7 @@ def reference_camera(rig: Rig, camera: str, view_counts: Mapping[str, int]) -> s
         camera: name of the camera.
         view_counts: number of usable views of each camera that has enough to be calibrated alone.
     """
-    seeing = [
-        name
-        for name in view_counts
-        if rig.targets[name] == rig.targets[camera] and rig.arms[name] == rig.arms[camera]
-    ]
+    seeing = [name for name in view_counts if rig.see_one_target(name, camera)]
     return max(seeing, key=lambda name: view_counts[name], default=None)
 
 

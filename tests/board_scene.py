@@ -4,6 +4,7 @@ The scenes of `fit_scenes` have as many views, points and lens parameters, some 
 set of programs fits them all.
 """
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from typer.testing import CliRunner
 
 from smartview_jax.cli import app
 from smartview_jax.io import save_dataset
-from smartview_jax.simulation import random_target_scene
+from smartview_jax.simulation import random_scene, random_target_scene
 from smartview_jax.targets import Chessboard
 
 BOARD = Chessboard(5, 3, 0.008)
@@ -60,6 +61,20 @@ def board_folder(tmp_path_factory):
         scene.calibration.save(path / "truth.yaml", source="simulated")
 
     return made_once(tmp_path_factory, "board", make)
+
+
+def single_tag_folder(path):
+    """Write a data set with four corners in each view, as of a tag, and its camera.
+
+    Returns:
+        The scene.
+    """
+    scene = random_scene(1, VIEWS, BOARD.points)
+    others = np.setdiff1d(np.arange(15), [0, 4, 10, 14])
+    pixels = scene.data.pixels.at[:, others].set(np.nan)
+    save_dataset(dataclasses.replace(scene.data, pixels=pixels, target=BOARD), path / "tag")
+    scene.calibration.save(path / "camera.yaml")
+    return scene
 
 
 def calibrated_board(tmp_path_factory):

@@ -1,5 +1,6 @@
 """A camera that measures depths too: small scenes whose depths are biased and noisy."""
 
+import dataclasses
 import functools
 from typing import NamedTuple
 
@@ -9,6 +10,7 @@ from fit_scenes import scene_of
 from smartview_jax.calibration import Calibration, DepthBias
 from smartview_jax.dataset import Dataset, DepthNoise
 from smartview_jax.geometry import host_matrices
+from smartview_jax.simulation import simulate_depths
 
 BIAS = DepthBias(1.02, 1e-3)
 NOISE = DepthNoise(2e-4, 2e-3)
@@ -22,6 +24,13 @@ class DepthScene(NamedTuple):
     depths: np.ndarray
 
 
+def assert_bias_recovered(sensor):
+    """Chi-square with two degrees of freedom: one in ten thousand is beyond."""
+    off = np.array([sensor.scale - float(BIAS.scale), sensor.offset - float(BIAS.offset)])
+    assert off @ np.linalg.solve(sensor.covariance, off) < 18.4
+    assert abs(off[0]) < 0.1 * (float(BIAS.scale) - 1.0)
+
+
 @functools.cache
 def depth_scene(seed, views=8, common=0.0, **noise):
     """The standard scene with depths, where a tenth is missing.
@@ -32,10 +41,7 @@ def depth_scene(seed, views=8, common=0.0, **noise):
     """
     scene = scene_of(seed, views, **noise)
     poses = host_matrices(scene.calibration.camera_from_world(scene.base_from_tool))
-    points = np.asarray(scene.data.points)
-    exact = np.einsum("vk,vpk->vp", poses[:, 2, :3], points) + poses[:, 2, 3, None]
     rng = np.random.default_rng((seed, 3))
-    depths = np.array(BIAS.measured(exact)) + NOISE.std(exact) * rng.normal(size=exact.shape)
-    depths[rng.random(exact.shape) < 0.1] = np.nan
-    depths += common * rng.normal(size=(len(depths), 1))
+    noise_of_depths = dataclasses.replace(NOISE, common=common)
+    depths = simulate_depths(poses, np.asarray(scene.data.points), BIAS, noise_of_depths, rng)
     return DepthScene(scene.calibration, scene.data, depths)

@@ -3,7 +3,9 @@
 import cv2
 import numpy as np
 from jaxlie import SE3
+from scipy.spatial.transform import Rotation
 
+from smartview_jax.engine import step_names
 from smartview_jax.geometry import as_se3, host_logarithms, host_matrices, host_transforms
 
 
@@ -11,6 +13,19 @@ def motion_between(first, second) -> np.ndarray:
     """Tangents `(*views, 6)` that lead from the first poses to the second, translation first."""
     first, second = (host_matrices(as_se3(poses)) for poses in (first, second))
     return host_logarithms(np.linalg.inv(first) @ second)
+
+
+def transform_errors(found, truth) -> np.ndarray:
+    """Differences of translations, and of rotations after them as vectors, `(*views, 6)`."""
+    a, b = (host_matrices(as_se3(poses)) for poses in (found, truth))
+    turn = Rotation.from_matrix(a[..., :3, :3] @ b[..., :3, :3].swapaxes(-1, -2))
+    return np.concatenate([a[..., :3, 3] - b[..., :3, 3], turn.as_rotvec()], axis=-1)
+
+
+def stated_covariance(fit, path) -> np.ndarray:
+    """The covariance of translation and rotation that a fit states for a transform."""
+    rows = [fit.parameter_names.index(name) for name in step_names(path)]
+    return np.asarray(fit.covariance)[np.ix_(rows, rows)]
 
 
 def opencv_poses(data, K: np.ndarray, distortion=None) -> SE3:

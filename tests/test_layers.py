@@ -178,19 +178,11 @@ def test_every_room_is_in_the_plan():
 
 
 def test_rooms_import_only_from_rooms_below():
-    wrong = {
-        str(file.relative_to(PACKAGE)): above for file in FILES if (above := upward_imports(file))
-    }
-    assert not wrong
+    assert not wrong_files(upward_imports)
 
 
 def test_rooms_import_from_one_another_by_their_faces():
-    wrong = {
-        str(file.relative_to(PACKAGE)): past
-        for file in FILES
-        if (past := imports_past_a_face(file))
-    }
-    assert not wrong
+    assert not wrong_files(imports_past_a_face)
 
 
 def test_only_the_command_and_results_with_a_page_reach_every_room():

@@ -5,9 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 from fit_scenes import POINTS, scene_of, scene_with
+from host_poses import stated_covariance, transform_errors
 from scipy.stats import chi2
 
 from smartview_jax import Noise, Prior, Rig, calibrate, fit_staged
+from smartview_jax.engine import step_names
 from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms
 from smartview_jax.rig_pipeline import doubts_told_by_others
 from smartview_jax.runtime.array_namespace import to_device
@@ -28,12 +30,6 @@ RIGHT = dataclasses.replace(
 )
 """A second camera on the hand, which looks inwards."""
 
-PATHS = [
-    f"right.camera_from_tool.{part}.{axis}"
-    for part in ("translation", "rotation")
-    for axis in "xyz"
-]
-
 
 def rig_with_few_views(seed, count):
     """Eight views of the left camera, and few of the right one, in states of its own."""
@@ -45,15 +41,9 @@ def rig_with_few_views(seed, count):
 
 def squared_error(fit):
     """The squared error of the right camera's place in units of its covariance."""
-    found, true = (host_matrices(c.camera_from_mount) for c in (fit.calibrations["right"], RIGHT))
-    turn = found[:3, :3] @ true[:3, :3].T
-    # To first order in a small rotation.
-    turned = 0.5 * np.array(
-        [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
-    )
-    error = np.concatenate([found[:3, 3] - true[:3, 3], turned])
-    index = [fit.parameter_names.index(path) for path in PATHS]
-    return error @ np.linalg.solve(np.asarray(fit.covariance)[np.ix_(index, index)], error)
+    found = fit.calibrations["right"].camera_from_mount
+    error = transform_errors(found, RIGHT.camera_from_mount)
+    return error @ np.linalg.solve(stated_covariance(fit, "right.camera_from_tool"), error)
 
 
 def test_a_camera_with_few_views_is_known_as_well_as_said():
@@ -67,7 +57,7 @@ def test_a_camera_with_few_views_is_known_as_well_as_said():
             progress=messages.append,
         )
         squares.append(squared_error(fit))
-        assert max(fit.std[path] for path in PATHS[:3]) < 2e-3
+        assert max(fit.std[name] for name in step_names("right.camera_from_tool")[:3]) < 2e-3
         assert float(fit.calibrations["right"].camera.alpha_u) == float(RIGHT.camera.alpha_u)
     assert "right: from the place of its target that left tells" in messages
     assert chi2.ppf(0.01, 18) < sum(squares) < chi2.ppf(0.99, 18)

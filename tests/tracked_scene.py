@@ -1,6 +1,7 @@
 """Pairs of a robot pose and a tracked pose, simulated with noise of both."""
 
 import numpy as np
+from host_poses import stated_covariance, transform_errors
 
 from smartview_jax.dataset import PoseDataset
 from smartview_jax.geometry import host_exponentials
@@ -44,3 +45,13 @@ def tracked(seed, views=VIEWS, mount="eye_in_hand", scale=1.0, turns=None):
 def data_of(seed, **given):
     """The same as a data set."""
     return PoseDataset.from_poses(*tracked(seed, **given), given.get("mount", "eye_in_hand"))
+
+
+def mount_error(fit):
+    """Errors of the mount: translation, m, and a rotation vector in the camera's axes, rad."""
+    return transform_errors(fit.calibration.camera_from_mount, MOUNT)
+
+
+def mount_covariance(fit):
+    """The covariance that a fit states for them."""
+    return stated_covariance(fit, fit.calibration.transform_names[0])

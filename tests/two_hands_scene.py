@@ -6,10 +6,9 @@ import math
 
 import numpy as np
 from once_a_run import computed_once
-from scipy.spatial.transform import Rotation
 
 from smartview_jax import Calibration, Noise, Rig, fit_rig
-from smartview_jax.geometry import host_exponentials, host_matrices
+from smartview_jax.geometry import host_exponentials
 from smartview_jax.simulation import random_target_scene, random_two_hand_scene
 from smartview_jax.targets import Chessboard
 
@@ -42,11 +41,11 @@ def two_hands(seed, views=10):
     return random_two_hand_scene(seed, views, BOARD, **noise)
 
 
-def transform_error(found, truth):
-    """The error of a transform: of its translation, and a rotation after it."""
-    a, b = host_matrices(found), host_matrices(truth)
-    turn = Rotation.from_matrix(a[:3, :3] @ b[:3, :3].T).as_rotvec()
-    return np.concatenate([a[:3, 3] - b[:3, 3], turn])
+def stepped(pose, step):
+    """A transform after a step: rotated from the left, and its translation changed."""
+    result = host_exponentials(np.concatenate([np.zeros(3), step[3:]])) @ pose
+    result[:3, 3] = pose[:3, 3] + step[:3]
+    return result
 
 
 FIXED_CAMERA = host_exponentials(np.array([0.05, -0.1, 0.9, 0.3, -0.2, 0.1]))

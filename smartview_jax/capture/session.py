@@ -4,7 +4,6 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
-from types import TracebackType
 from typing import NamedTuple
 
 import numpy as np
@@ -15,16 +14,8 @@ from ..detection import Detection, detect
 from ..editor import OwnerLock
 from ..geometry import host_matrices, host_transforms
 from ..io import GrowingDataset, load_dataset
-from ..targets import StackedTarget
 from .coverage import Coverage, coverage
-from .estimation import (
-    CaptureOptions,
-    Estimate,
-    Proposal,
-    estimate,
-    first_proposals,
-    is_near,
-)
+from .estimation import CaptureOptions, Estimate, Proposal, estimate, first_proposals, is_near
 from .motion import refuse_if_stopped
 from .settling import SettleTest, settle_test
 from .sources import Camera, MoveRefusedError, MovingRobot, Reopened, Robot, SourceLostError
@@ -100,7 +91,7 @@ class CaptureSession:
         self._lock = OwnerLock(table.with_name(f"{table.name}.lock"), "capture")
         self.listener: Callable[[str], None] = say or (lambda _: None)
         target = folder.description.target
-        self._board = target.board if isinstance(target, StackedTarget) else target
+        self._board = target.flat_board
         # One thread at a time uses camera and robot.
         self._using = threading.RLock()
         self._stop_motion = threading.Event()
@@ -139,12 +130,7 @@ class CaptureSession:
         self._fitting.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop the robot, end the thread that fits, and close camera and robot."""
         self.stop()
         self._closing.set()

@@ -1,6 +1,5 @@
 """Define `smartview calibrate`, the main job: fit, judge, print, write the results."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -10,11 +9,9 @@ import smartview_jax as sv
 
 from ..files import refuse_unwritable
 from . import options
-from .calibrate_folder import CalibrateSettings, loaded_folder
-from .calibrate_folders import calibrate_folders
-from .calibrate_pictures import calibrated_pictures
-from .calibrate_poses import calibrated_poses
-from .calibrate_result import AbstractResult, run_name
+from .calibrate_folder import CalibrateSettings
+from .calibrate_folders import calibrate_folders, fitted_folder
+from .calibrate_result import run_name
 from .calibrate_rig import fitted_rig, loaded_rig
 from .documents import print_document
 from .options import with_option_groups
@@ -76,7 +73,10 @@ def calibrate(
         refuse_unwritable(out, "--out")
         run = run_name()
         with progress_line() as progress:
-            result = _fitted_rig_or_folder(folders, is_rig, settings, progress)
+            if is_rig:
+                result = fitted_rig(*loaded_rig(folders, settings, progress), settings, progress)
+            else:
+                result = fitted_folder(folders[0] if folders else None, settings, progress)
         if not json:
             result.print()
         with progress_line() as progress:
@@ -89,18 +89,3 @@ def calibrate(
         # The results are written, but a script must notice that the fit did not converge.
         if not result.converged:
             raise typer.Exit(1)
-
-
-def _fitted_rig_or_folder(
-    folders: list[Path],
-    is_rig: bool,
-    settings: CalibrateSettings,
-    progress: Callable[[str], None],
-) -> AbstractResult:
-    """Load and fit the cameras of a rig, or the pictures or tracked poses of one folder."""
-    if is_rig:
-        return fitted_rig(*loaded_rig(folders, settings, progress), settings, progress)
-    data, name = loaded_folder(folders[0] if folders else None, settings, progress)
-    if isinstance(data, sv.dataset.PoseDataset):
-        return calibrated_poses(data, name, settings, progress)
-    return calibrated_pictures(data, name, settings, progress)

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -116,15 +116,21 @@ def _calibrate_folder(paths: tuple[Path, Path], settings: CalibrateSettings) -> 
     dataset, out = paths
     if not dataset.is_file():
         settings = dataclasses.replace(settings, mount=None)
-    data, name = loaded_folder(dataset, settings, silent)
-    run = run_name()
+    result, run = fitted_folder(dataset, settings, silent), run_name()
+    document = result.document(run, list(result.write(out, run, silent)))
+    if isinstance(result, PoseResult):
+        return _summary_of_poses(result, document)
+    return _summary(result, document)
+
+
+def fitted_folder(
+    dataset: Path | None, settings: CalibrateSettings, progress: Callable[[str], None]
+) -> PictureResult | PoseResult:
+    """Load and fit the pictures or the tracked poses of one folder; None is the sample."""
+    data, name = loaded_folder(dataset, settings, progress)
     if isinstance(data, sv.dataset.PoseDataset):
-        tracked = calibrated_poses(data, name, settings, silent)
-        files = tracked.write(out, run, silent)
-        return _summary_of_poses(tracked, tracked.document(run, list(files)))
-    result = calibrated_pictures(data, name, settings, silent)
-    files = result.write(out, run, silent)
-    return _summary(result, result.document(run, list(files)))
+        return calibrated_poses(data, name, settings, progress)
+    return calibrated_pictures(data, name, settings, progress)
 
 
 def _summary_of_poses(result: PoseResult, document: dict[str, Any]) -> FolderResult:

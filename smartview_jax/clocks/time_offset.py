@@ -27,7 +27,7 @@ from ..geometry import as_se3, host_matrices
 from ..joint import JointFit, fit_joint, start_from_poses
 from ..robots import Trajectory, smoothed_log
 from ..staged import fit_staged
-from .timed_poses import TimedChain, fit_timed_poses, long_run_variance
+from .timed_poses import TimedChain, TimedPairs, fit_timed_poses, long_run_variance
 
 COARSE_STEPS = 80
 """Number of intervals into which the range of offsets is divided for the search."""
@@ -172,7 +172,8 @@ def estimate_time_offset(
         chain = TimedChain(
             host_matrices(start.camera_from_mount), host_matrices(start.holder_from_world), seconds
         )
-        fit = fit_timed_poses(data, trajectory, times, chain, agree, (low, high))
+        pairs = TimedPairs(data, trajectory, times)
+        fit = fit_timed_poses(pairs, chain, agree, (low, high))
         seconds = fit.chain.seconds
         # In units of the tracker's noise its standard deviation is one.
         noise = Noise(1.0, *fit.robot_noise)

@@ -55,6 +55,42 @@ class TimedChain(NamedTuple):
     seconds: float
 
 
+class TimedPairs(NamedTuple):
+    """Tracked poses with their time stamps, and the log of the robot that moved meanwhile.
+
+    Attributes:
+        data: the tracked poses.
+        trajectory: poses of the robot over time.
+        times: times of the tracked poses by the tracker's clock, s.
+    """
+
+    data: PoseDataset
+    trajectory: Trajectory
+    times: Float[np.ndarray, "views"]
+
+    def linearised(self, axis: DepthAxis, chain: TimedChain) -> LinearPairs:
+        """Return the pairs, linear in the chain and the offset; the last noise is the jitter."""
+        transforms = chain.camera_from_mount, chain.holder_from_world
+        poses = self._mount_from_holder(chain.seconds)
+        pairs = linear_pairs(self.data, transforms[0], poses, transforms[1], axis)
+        before, after = (
+            transforms[0] @ self._mount_from_holder(chain.seconds + change) @ transforms[1]
+            for change in (-SPEED_STEP, SPEED_STEP)
+        )
+        speed = pose_differences(after, before)[:, :, None] / (2.0 * SPEED_STEP)
+        by_jitter = UNIT_JITTER**2 * speed * speed.swapaxes(1, 2)
+        return LinearPairs(
+            pairs.errors,
+            np.concatenate([pairs.by_unknowns, speed], axis=2),
+            np.concatenate([pairs.parts, by_jitter[None]]),
+        )
+
+    def _mount_from_holder(self, offset: float) -> Poses:
+        """Return the robot's part of the chain at the time of each tracked pose."""
+        seconds = np.clip(self.times + offset, *self.trajectory.times[[0, -1]])
+        return mount_from_holder_matrices(self.data.mount, self.trajectory.at(seconds))
+
+
 class TimedFit(NamedTuple):
     """The fitted chain with what is known of its errors.
 
@@ -79,9 +115,7 @@ class TimedFit(NamedTuple):
 
 @on_one_blas_thread
 def fit_timed_poses(
-    data: PoseDataset,
-    trajectory: Trajectory,
-    times: Float[np.ndarray, "views"],
+    pairs: TimedPairs,
     start: TimedChain,
     used: Bool[np.ndarray, "views"],
     bounds: tuple[float, float],
@@ -89,9 +123,7 @@ def fit_timed_poses(
     """Fit the chain and the offset of the clocks to tracked poses.
 
     Args:
-        data: the tracked poses.
-        trajectory: poses of the robot over time.
-        times: times of the tracked poses by the tracker's clock, s.
+        pairs: the tracked poses and the robot's.
         start: a chain near the solution.
         used: pairs that agree with it; which ones do is found again in each round.
         bounds: smallest and largest offset, s.
@@ -100,8 +132,8 @@ def fit_timed_poses(
         ValueError: a robot that hardly moved, so that every offset is as good.
     """
     fits = [
-        _fit_along(axis, data, trajectory, times, start, used, bounds)
-        for axis in DEPTH_AXES[: 1 if data.states_covariance else None]
+        _fit_along(axis, pairs, start, used, bounds)
+        for axis in DEPTH_AXES[: 1 if pairs.data.states_covariance else None]
     ]
     # Of as many pairs as the other the likelier one, else the one that explains more of them.
     return min(fits, key=lambda fit: (-int(fit.used.sum()), fit.deviance))
@@ -109,9 +141,7 @@ def fit_timed_poses(
 
 def _fit_along(
     axis: DepthAxis,
-    data: PoseDataset,
-    trajectory: Trajectory,
-    times: Float[np.ndarray, "views"],
+    pairs: TimedPairs,
     start: TimedChain,
     used: Bool[np.ndarray, "views"],
     bounds: tuple[float, float],
@@ -120,7 +150,7 @@ def _fit_along(
     chain, std, likeliest = start, np.inf, None
     limit = chdtri(6, WRONG_PROBABILITY)
     for _ in range(MAX_ROUNDS):
-        linear = _linearised(axis, data, trajectory, times, chain)
+        linear = pairs.linearised(axis, chain)
         begin = np.ones(len(linear.parts)) if likeliest is None else likeliest.variances
         likeliest = likeliest_variances(linear.of(used), begin)
         variances = likeliest.variances
@@ -128,7 +158,7 @@ def _fit_along(
         step, std = _solution(linear.of(used), variances, bounds[1] - bounds[0])
         residuals = linear.errors - linear.by_unknowns @ step
         distances = np.einsum("vi,vij,vj->v", residuals, np.linalg.inv(covariance), residuals)
-        agree = data.seen & (distances < limit)
+        agree = pairs.data.seen & (distances < limit)
         chain = _moved(chain, step, bounds)
         is_same, used = np.array_equal(agree, used), agree
         if is_same and abs(step[-1]) < TOLERANCE * std:
@@ -149,34 +179,6 @@ def _last_std(likeliest: LikeliestVariances) -> float:
     scaled = np.linalg.pinv(np.outer(size, size) * information, hermitian=True)
     variance_std = size[-1] * np.sqrt(scaled[-1, -1])
     return float(np.sqrt(variances[-1] + variance_std) - np.sqrt(variances[-1]))
-
-
-def _linearised(
-    axis: DepthAxis,
-    data: PoseDataset,
-    trajectory: Trajectory,
-    times: Float[np.ndarray, "views"],
-    chain: TimedChain,
-) -> LinearPairs:
-    """Return the pairs, linear in the chain and the offset; the last noise is the jitter."""
-
-    def mount_from_holder(change: float) -> Poses:
-        seconds = np.clip(times + chain.seconds + change, *trajectory.times[[0, -1]])
-        return mount_from_holder_matrices(data.mount, trajectory.at(seconds))
-
-    transforms = chain.camera_from_mount, chain.holder_from_world
-    pairs = linear_pairs(data, transforms[0], mount_from_holder(0.0), transforms[1], axis)
-    before, after = (
-        transforms[0] @ mount_from_holder(change) @ transforms[1]
-        for change in (-SPEED_STEP, SPEED_STEP)
-    )
-    speed = pose_differences(after, before)[:, :, None] / (2.0 * SPEED_STEP)
-    by_jitter = UNIT_JITTER**2 * speed * speed.swapaxes(1, 2)
-    return LinearPairs(
-        pairs.errors,
-        np.concatenate([pairs.by_unknowns, speed], axis=2),
-        np.concatenate([pairs.parts, by_jitter[None]]),
-    )
 
 
 def _solution(

@@ -15,9 +15,8 @@ from jaxtyping import Bool, Float
 from scipy.special import bdtrc
 
 from ..cameras import Camera
-from ..dataset import Observations, view_residuals
+from ..dataset import Observations, camera_residuals
 from ..geometry import host_matrices
-from ..runtime.array_namespace import to_device
 
 MAX_CHANCE = 1e-6
 """Probability by chance below which points are displaced as by a lens."""
@@ -78,8 +77,7 @@ def find_border_misfit(
         camera_from_world: the pose of each view that fits best with this camera.
     """
     visible = np.asarray(observations.visible) & used[:, None]
-    poses = host_matrices(camera_from_world)
-    residuals = np.asarray(view_residuals(camera, to_device(np.ones(())), poses, observations))
+    residuals = camera_residuals(camera, host_matrices(camera_from_world), observations)
     visible &= np.isfinite(residuals).all(axis=2)
     left_out = visible & ~inliers
     rays = np.asarray(observations.pixels) - [float(camera.u0), float(camera.v0)]

@@ -15,9 +15,8 @@ from jaxlie import SE3
 from jaxtyping import Bool
 
 from ..cameras import AbstractLens, Camera, lens_name
-from ..dataset import Observations, medians_by_view, view_residuals
+from ..dataset import Observations, camera_residuals, evenly_spaced, medians_by_view
 from ..geometry import host_matrices
-from ..runtime.array_namespace import to_device
 from .target_checks import DETECTION_NOISE, fit_of_any_lens, median_distance
 
 MAX_MISFIT_RATIO = 0.3
@@ -94,7 +93,7 @@ def camera_misfit(
     if not common > DETECTION_NOISE:
         return None
     views = np.flatnonzero(used)
-    views = views[np.unique(np.linspace(0, len(views) - 1, MAX_ASKED_VIEWS).round().astype(int))]
+    views = views[evenly_spaced(len(views), MAX_ASKED_VIEWS)]
     distances = list(_single_distances(observations, views, camera.image_size))
     if not distances:
         return None
@@ -163,8 +162,7 @@ def _usual_distance(
     camera_from_world: SE3,
 ) -> float:
     """Return the distance of the points from where a camera puts them, px; see `CameraMisfit`."""
-    poses = host_matrices(camera_from_world)
-    residuals = np.asarray(view_residuals(camera, to_device(np.ones(())), poses, observations))
+    residuals = camera_residuals(camera, host_matrices(camera_from_world), observations)
     distances = np.linalg.norm(residuals, axis=2)
     return float(np.median(medians_by_view(distances, np.asarray(observations.visible))[used]))
 

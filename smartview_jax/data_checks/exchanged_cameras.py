@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from scipy.special import betaln
 
 from ..argument_checks import MAX_LISTED_VIEWS, listed
-from ..dataset import Rig
+from ..dataset import Rig, evenly_spaced
 from ..geometry import host_logarithms, mean_matrix
 from .closure import Poses
 from .rig_states import (
@@ -80,7 +80,7 @@ def _exchange(relative: Poses) -> _Exchange | None:
     if count < MIN_COMMON_STATES:
         return None
     both = np.stack([relative, np.linalg.inv(relative)])
-    seeds = relative[np.unique(np.linspace(0, count - 1, MAX_SEEDS).round().astype(int))]
+    seeds = relative[evenly_spaced(count, MAX_SEEDS)]
     squares = np.stack([_squares(np.linalg.inv(seed) @ both) for seed in seeds])
     best = np.median(squares.min(axis=1), axis=1).argmin()
     exchanged = squares[best].argmin(axis=0) == 1

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int
 
-from ..calibration import host_mount_from_holder
 from ..dataset import Rig
 from ..geometry import as_se3, host_matrices, mean_matrix
 from .changes import Change, ChangeOptions, ChangeReport, evidence_of_change, find_change
@@ -161,7 +160,7 @@ def _suspects_by_robot(
 def _evidence_by_robot(rig: Rig, camera: str, seen: SeenTarget, state: int) -> float:
     """Return the evidence that a camera was moved against the robot before a state."""
     data = rig.cameras[camera]
-    robot = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))[seen.views]
+    robot = host_matrices(data.mount_from_holder)[seen.views]
     states = rig.state_index[camera][seen.views]
     first_view = int(np.flatnonzero(states == state)[0])
     return evidence_of_change(as_se3(robot), as_se3(seen.camera_from_world), first_view)

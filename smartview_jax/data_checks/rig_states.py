@@ -37,10 +37,8 @@ class SeenTarget(NamedTuple):
 
 
 def pairs_with_one_target(rig: Rig, cameras: Collection[str]) -> Iterator[tuple[str, str]]:
-    """Yield the names of every two of some cameras that see one target and share an arm."""
-    for first, second in combinations(cameras, 2):
-        if rig.targets[first] == rig.targets[second] and rig.arms[first] == rig.arms[second]:
-            yield first, second
+    """Return the names of every two of some cameras that see one target and share an arm."""
+    return (pair for pair in combinations(cameras, 2) if rig.see_one_target(*pair))
 
 
 def states_in_common(

@@ -20,6 +20,7 @@ from jaxlie import SE3
 from jaxtyping import Bool, Float
 
 from ..calibration import mount_frames
+from ..dataset import evenly_spaced
 from ..geometry import host_adjoints, host_logarithms
 from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, MAX_VIEWS, Poses
 from .misfit_evidence import VERY_STRONG_EVIDENCE
@@ -116,7 +117,7 @@ def find_drift(
     views = np.flatnonzero(used)
     if len(views) < options.min_views:
         return None
-    views = views[np.unique(np.linspace(0, len(views) - 1, MAX_VIEWS).round().astype(int))]
+    views = views[evenly_spaced(len(views), MAX_VIEWS)]
     motions = motions_of_views(mount_from_holder, camera_from_world, views, length_ratio)
     if motions is None:
         return None

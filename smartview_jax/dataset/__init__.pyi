@@ -10,7 +10,9 @@ from .input_checks import FORWARD_KINEMATICS_TOLERANCE as FORWARD_KINEMATICS_TOL
 from .input_checks import checked_view_ids as checked_view_ids
 from .observations import AnyObservations as AnyObservations
 from .observations import Observations as Observations
+from .observations import camera_residuals as camera_residuals
 from .observations import chain_residuals as chain_residuals
+from .observations import evenly_spaced as evenly_spaced
 from .observations import medians_by_view as medians_by_view
 from .observations import view_residuals as view_residuals
 from .picture_digests import digests_to_keep as digests_to_keep
@@ -34,6 +36,7 @@ from .robot_motion import determine_transforms as determine_transforms
 from .robot_motion import distinct_poses as distinct_poses
 from .robot_motion import first_equal_pose as first_equal_pose
 from .robot_motion import given_places as given_places
+from .robot_motion import is_selected as is_selected
 from .robot_motion import never_turns as never_turns
 from .robot_motion import repeated_pairs as repeated_pairs
 from .robot_motion import repeated_pose_reason as repeated_pose_reason

@@ -12,7 +12,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..argument_checks import require_one_of, spelling_suggestion
-from ..calibration import ONE_ARM_MOUNTS
+from ..calibration import ONE_ARM_MOUNTS, host_mount_from_holder
 from ..geometry import PoseLike, as_se3, check_rigid, host_matrices
 from ..robots import Command, HandPoses, SerialArm
 from ..runtime.array_namespace import to_device
@@ -253,6 +253,11 @@ class Dataset(HostModule):
         return between.with_bases(
             as_se3(np.eye(4) if base_from_other_base is None else base_from_other_base)
         )
+
+    @property
+    def mount_from_holder(self) -> SE3:
+        """The robot's part of the chain as reported, from the target's holder to the mount."""
+        return host_mount_from_holder(self.mount, self.base_from_tool)
 
     @property
     def base_from_other_base(self) -> SE3 | None:

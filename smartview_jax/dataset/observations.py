@@ -4,13 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration, TargetShape
 from ..cameras import Camera
 from ..geometry import as_se3, transformed_coordinates
 from ..robots import Command, HandPoses
-from ..runtime.array_namespace import AnyArray
+from ..runtime.array_namespace import AnyArray, to_device
 from ..runtime.compilation import compiled, is_traced
 from ..runtime.modules import HostModule, with_fields
 from ..runtime.padding import host_without_padding, padded_counts, repeat_last
@@ -101,6 +101,14 @@ AnyObservations = Observations | PoseObservations
 """What a problem can be fitted to: points in pictures, or tracked poses."""
 
 
+def evenly_spaced(count: int, largest: int) -> Int[np.ndarray, "chosen"]:
+    """Return `largest` of the indices of `count` views at equal distances; all if there are fewer.
+
+    Some questions are answered as well by some of many views, in less time.
+    """
+    return np.unique(np.linspace(0, count - 1, largest).round().astype(int))
+
+
 def medians_by_view(
     values: Float[np.ndarray, "views points"], counted: Bool[np.ndarray, "views points"]
 ) -> Float[np.ndarray, "views"]:
@@ -153,6 +161,16 @@ def view_residuals(
     poses = repeat_last(camera_from_world, len(padded.visible))
     residuals = _view_residuals(camera, target_scale, poses, padded)
     return host_without_padding(residuals, *observations.visible.shape)
+
+
+def camera_residuals(
+    camera: Camera,
+    camera_from_world: Float[np.ndarray, "views 4 4"],
+    observations: AnyObservations,
+) -> Float[np.ndarray, "views points 2"]:
+    """Return `view_residuals` of a target of its stated size, px, on the host."""
+    scale = to_device(np.ones(()))
+    return np.asarray(view_residuals(camera, scale, camera_from_world, observations))
 
 
 @compiled

@@ -224,6 +224,10 @@ class Rig:
             {name: self.arms[name] for name in cameras},
         )
 
+    def see_one_target(self, first: str, second: str) -> bool:
+        """Return whether two cameras of one arm, given by their names, see the same target."""
+        return self.targets[first] == self.targets[second] and self.arms[first] == self.arms[second]
+
     def state_name(self, camera: str, view_id: str) -> str:
         """Return the name of the robot's state in which a camera took a view."""
         return view_id if len(self.arm_names) == 1 else f"{self.arms[camera]}/{view_id}"

@@ -327,11 +327,12 @@ def given_places(
 ) -> bool:
     """Return whether the translation of one of the transforms is held or has priors in all axes."""
     paths = (*fixed, *priors)
-
-    def is_given(name: str) -> bool:
-        """Return whether a path selects this parameter."""
-        return any(name == path or name.startswith(f"{path}.") for path in paths)
-
     return any(
-        all(is_given(f"{name}.translation.{axis}") for axis in "xyz") for name in transform_names
+        all(is_selected(f"{name}.translation.{axis}", paths) for axis in "xyz")
+        for name in transform_names
     )
+
+
+def is_selected(name: str, paths: Collection[str]) -> bool:
+    """Return whether a parameter has one of the paths as its name, or as the start of its name."""
+    return any(name == path or name.startswith(f"{path}.") for path in paths)

@@ -13,7 +13,6 @@ from ..targets import (
     Chessboard,
     CircleGrid,
     ListedPoints,
-    StackedTarget,
     TagGrid,
 )
 from .chessboard import detect_chessboard
@@ -97,7 +96,7 @@ def detection_identity(target: AbstractTarget) -> str:
     Only ratios of lengths count: a square that was measured more accurately, or other heights of a
     board, change no pixel.
     """
-    board = target.board if isinstance(target, StackedTarget) else target
+    board = target.flat_board
     fields = {
         field.name: getattr(board, field.name)
         for field in dataclasses.fields(board)
@@ -108,5 +107,5 @@ def detection_identity(target: AbstractTarget) -> str:
     # A missing length, such as the gap of a single tag, counts as 0.
     sizes = [getattr(board, name) or 0.0 for name in lengths]
     ratios = [round(size / sizes[0], 9) for size in sizes]
-    heights = len(target.heights) if isinstance(target, StackedTarget) else 1
+    heights = target.height_count
     return repr((type(board).__name__, fields, ratios, heights))

@@ -132,7 +132,7 @@ class Findings(NamedTuple):
         }
 
     def related(self, number: int) -> frozenset[int]:
-        """Return the constraints that share points with one, directly or through others."""
+        """Return a constraint and all that share points with it, directly or through others."""
         constraints = self.document.constraints
         chosen, points = {number}, _points_of(constraints[number])
         while more := {

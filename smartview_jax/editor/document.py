@@ -126,7 +126,11 @@ class Document:
 
 
 def part_id(given: Any) -> int:
-    """Return the id of a part; a text, true and 0.7 are none, though Python takes them for one."""
+    """Return the id of a part, a whole number.
+
+    Raises:
+        ValueError: a text, `True` or 0.7, which `int` would accept.
+    """
     # The journal holds plain numbers, scripts may give NumPy's.
     if isinstance(given, bool):
         raise ValueError(f"a part is named by a whole number; found {given!r}")
@@ -137,7 +141,7 @@ def part_id(given: Any) -> int:
 
 
 def _check_quantities(name: str, *values: Any) -> None:
-    """Raise a ValueError for a value that is neither left open nor a number of a possible size."""
+    """Raise a ValueError unless each value is None or a number of at most `MAX_LENGTH`."""
     for value in values:
         is_number = isinstance(value, Real) and not isinstance(value, bool)
         # NaN fails the comparison, too.

@@ -22,7 +22,7 @@ EDGE_SAMPLES = 7
 """Number of points by which an edge is drawn in a picture, because a lens bends it."""
 
 MANY_TO_ONE = 1000
-"""Largest odds that are shown as a number: the errors are not so surely normal."""
+"""Largest odds that are shown as a number; larger ones rely too much on normal errors."""
 
 _PIXEL_DIGITS, _METRE_DIGITS, _MILLIMETRE_DIGITS = 2, 7, 3
 

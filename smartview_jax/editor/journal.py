@@ -143,11 +143,10 @@ def _line(entry: Mapping[str, Any]) -> bytes:
 
 
 def _may_be_torn(line: bytes, number: int, first: bytes = b"") -> bool:
-    """Return whether a line that is no mapping may have been written here and torn.
+    """Return whether a line that is no mapping may be a torn entry of this journal.
 
-    Of any line but the first that is taken for granted. Without a first line there is no sign of a
-    journal: then it must be the beginning of the `first` line, or have zeros where the disk did not
-    write.
+    Any line after the first may be. A torn first line has zeros where the disk did not write, or is
+    the beginning of the `first` line; any other file is no journal.
     """
     return number > 1 or b"\0" in line or (line != b"" and first.startswith(line))
 

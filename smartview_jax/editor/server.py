@@ -27,11 +27,13 @@ PAGE = Path(__file__).parent / "page"
 """The folder of the page's files."""
 
 SLOW_AT_ONCE = 2
-"""Slow commands that are computed at the same time: with the clicks' one, fewer than the threads
-that `asyncio` has on any machine, so that no number of them makes a click wait."""
+"""Number of slow commands that run at the same time.
+
+`asyncio` has at least five threads on any machine, so that a click never waits for them.
+"""
 
 MAX_SLOW = 1000
-"""Slow commands of a page that may wait; a page asks for the features of each view once."""
+"""Largest number of waiting slow commands of a page, which asks once for each view's features."""
 
 INTERNAL_ERROR = 1011
 """The code of a socket that is closed after an error of the server; the page connects again."""
@@ -73,8 +75,8 @@ class _Page(NamedTuple):
     """A page that is shown.
 
     Attributes:
-        conversation: with it.
-        behind: set when another page has changed what this one shows.
+        conversation: the conversation with the page.
+        behind: set when another page has made a change that this page does not show yet.
     """
 
     conversation: Conversation
@@ -163,15 +165,15 @@ class _Editor:
             await _send(socket, answer)
 
     def _note_change(self, changer: Any) -> None:
-        """Let all pages but the one that made a change be told of it."""
+        """Notify every page of a change, except for the page that made it."""
         for socket, page in self._pages.items():
             if socket is not changer:
                 page.behind.set()
 
     async def _tell(self, socket: Any, page: _Page) -> None:
-        """Send a page what others have changed, whenever they do.
+        """Send a page the changes of other pages as they are made.
 
-        Several changes while the page reads slowly are one update.
+        Changes that are made while the page is still reading become one update.
         """
         while True:
             await page.behind.wait()

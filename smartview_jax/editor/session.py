@@ -188,9 +188,9 @@ class ModelSession(AbstractDrawing):
 
         None is applied; `add_constraint(suggestion.kind, suggestion.items)` states one:
 
-            for one in session.suggestions():
-                if one.kind == "right_angle":
-                    session.add_constraint(one.kind, one.items)
+            for fact in session.suggestions():
+                if fact.kind == "right_angle":
+                    session.add_constraint(fact.kind, fact.items)
         """
         return suggestions_of(self.document, self._estimates)
 

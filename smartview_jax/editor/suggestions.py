@@ -44,7 +44,7 @@ MAX_EDGES = 40
 """Largest number of edges that are compared with each other, the newest ones: 780 pairs."""
 
 FAR = 8.0
-"""Deviation, in standard deviations, from which a relation is out of the question."""
+"""Deviation, in standard deviations, beyond which a relation is ruled out."""
 
 EDGE_SIGMAS = 5.0
 """Smallest length of an edge that has a direction, in standard deviations of its length."""

@@ -44,7 +44,7 @@ Beyond it the optical axes are nearly parallel, and the point is meaningless.
 CLICK_FALSE_ALARM = 1e-3
 """Probability that a right click is said to contradict the others of its point.
 
-For each click by itself, so that the same clicks are judged alike whenever they are computed.
+It holds for each click alone, so that a verdict does not depend on which others are computed.
 """
 
 

@@ -7,6 +7,7 @@ from .arms_builder import choices_of_arms as choices_of_arms
 from .arms_problem import ArmInRig as ArmInRig
 from .arms_problem import ArmsProblem as ArmsProblem
 from .covariance import RANK_TOLERANCE as RANK_TOLERANCE
+from .covariance import FitCovariance as FitCovariance
 from .covariance import ReducedEquations as ReducedEquations
 from .covariance import ScaledJacobian as ScaledJacobian
 from .covariance import covariance as covariance
@@ -17,7 +18,6 @@ from .covariance import reduced_equations as reduced_equations
 from .covariance import robust_variance as robust_variance
 from .covariance import variance_factor as variance_factor
 from .covariance import variance_of_sum as variance_of_sum
-from .fit_covariance import FitCovariance as FitCovariance
 from .losses import AbstractLoss as AbstractLoss
 from .losses import Cauchy as Cauchy
 from .losses import GemanMcClure as GemanMcClure

@@ -289,6 +289,11 @@ class AbstractProblem(HostModule):
         mean = np.asarray(self.prior_mean.shared)
         return np.where(np.isnan(mean), 0.0, self.host_start_values() - mean)
 
+    @property
+    def host_prior_weight(self) -> Float[np.ndarray, "free"]:
+        """The inverse prior standard deviation of each free shared parameter; 0 is no prior."""
+        return np.asarray(self.prior_weight.shared)[np.asarray(self.free)]
+
     def prior_cost(self, z: Step) -> Float[Array, ""]:
         """Return the priors' part of the cost at a scaled step."""
         shared, per_view = self._prior_residuals(self.unscaled_step(z))

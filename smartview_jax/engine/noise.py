@@ -6,6 +6,7 @@ import math
 import numpy as np
 from jaxtyping import Float
 
+from ..robot_errors import AbstractField
 from .pose_directions import PoseDirections
 
 
@@ -57,6 +58,14 @@ class Noise:
         for name, value in pose_sigmas + finite_sigmas:
             if not (value > 0.0 and ((name, value) in pose_sigmas or value < math.inf)):
                 raise ValueError(f"Noise.{name}: expected a positive number, found {value}")
+
+    def with_unit_groups(self, field: AbstractField | None) -> "Noise":
+        """Return the noise with a standard deviation of one for each group of a robot error field.
+
+        Their values have no effect where the groups are held, or are set later.
+        """
+        count = 0 if field is None else len(field.groups)
+        return dataclasses.replace(self, field=(1.0,) * count)
 
     @property
     def within_view_pixel(self) -> float:

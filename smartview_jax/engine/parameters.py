@@ -27,6 +27,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import BASES, Calibration, DepthBias
 from ..cameras import Camera, moved_cameras
+from ..dataset import is_selected
 from ..geometry import (
     host_exponentials,
     host_matrices,
@@ -100,8 +101,7 @@ def parameter_mask(names: Sequence[str], paths: Iterable[str]) -> Bool[np.ndarra
     """
     selected = np.zeros(len(names), dtype=bool)
     for path in paths:
-        prefix = f"{path}."
-        matches = np.array([name == path or name.startswith(prefix) for name in names])
+        matches = np.array([is_selected(name, (path,)) for name in names])
         if not matches.any():
             raise ValueError(_unknown_path_message(path, names))
         selected |= matches

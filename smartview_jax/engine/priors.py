@@ -2,13 +2,13 @@
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple, TypedDict
+from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int
 
 from ..argument_checks import require_instance, require_names
-from .parameters import parameter_mask
+from .parameters import Step, host_step, parameter_mask
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -115,3 +115,51 @@ class ParameterChoice(NamedTuple):
     def freeing(self, *paths: str) -> "ParameterChoice":
         """Return the choice with further parameters freed."""
         return self._replace(free=(*self.free, *paths))
+
+
+class ParameterTable(NamedTuple):
+    """All parameters of a least-squares problem: the shared ones, then six of each view.
+
+    Attributes:
+        names: names of the parameters.
+        shared_size: number of the shared ones.
+        is_free: mask of the free ones.
+        mean, weight: mean and inverse standard deviation of the priors, as in `AbstractProblem`.
+    """
+
+    names: Sequence[str]
+    shared_size: int
+    is_free: Bool[np.ndarray, "parameters"]
+    mean: Float[np.ndarray, "parameters"]
+    weight: Float[np.ndarray, "parameters"]
+
+    @property
+    def shared_names(self) -> tuple[str, ...]:
+        """The names of the free shared parameters."""
+        return tuple(self.names[k] for k in self._free_shared)
+
+    @property
+    def per_view_names(self) -> tuple[str, ...]:
+        """The names of the free parameters of single views."""
+        own = np.flatnonzero(self.is_free[self.shared_size :])
+        return tuple(self.names[self.shared_size + k] for k in own)
+
+    def fields(self) -> dict[str, Any]:
+        """Return the fields of the problem that describe its parameters, as NumPy arrays."""
+        per_view_free = self.is_free[self.shared_size :].reshape(-1, 6)
+        return {
+            "free": self._free_shared,
+            "per_view_free": per_view_free,
+            "prior_mean": self._step(self.mean),
+            "prior_weight": self._step(self.weight),
+            "scale": host_step(np.ones(len(self._free_shared)), np.ones(per_view_free.shape)),
+        }
+
+    @property
+    def _free_shared(self) -> Int[np.ndarray, "free"]:
+        """The indices of the free shared parameters."""
+        return np.flatnonzero(self.is_free[: self.shared_size])
+
+    def _step(self, vector: Float[np.ndarray, "parameters"]) -> Step:
+        """Split a value of each parameter into the shared ones and six of each view."""
+        return host_step(vector[: self.shared_size], vector[self.shared_size :].reshape(-1, 6))

@@ -36,13 +36,12 @@ from .parameters import (
     TARGET_SCALE,
     Parameters,
     Step,
-    host_step,
     is_size,
     parameter_mask,
     parameter_names,
 )
 from .prepared_poses import prepare_poses
-from .priors import ParameterChoice, ParameterOptions, Prior
+from .priors import ParameterChoice, ParameterOptions, ParameterTable, Prior
 from .problem import JointProblem
 
 TYPICAL_DEPTH_BIAS = dict(
@@ -135,11 +134,7 @@ def build_problem(
         17 ('camera.alpha_u', 'camera.alpha_v')
     """
     refuse_traced("build_problem", data, start)
-    if not (noise == "trusted" or isinstance(noise, Noise)):
-        raise ValueError(
-            'noise is "trusted", "estimated" or a Noise(pixel, translation, rotation), where '
-            f'"estimated" is for fit_joint only; found {noise!r}'
-        )
+    noise_model = _checked_noise(noise)
     choice = ParameterChoice.of(**parameters)
     _require_same_setup(data, start)
     if start.base_from_other_base is not None:
@@ -151,8 +146,6 @@ def build_problem(
         raise ValueError(
             f"a joint fit needs at least 3 views with 4 points each, or priors; found {len(views)}"
         )
-
-    noise_model = noise if isinstance(noise, Noise) else None
     if start.depth_bias is not None:
         choice = choice._replace(priors=TYPICAL_DEPTH_BIAS | choice.priors)
         data = data if noise_model is None else with_known_depth_noise(data, noise_model)
@@ -162,48 +155,49 @@ def build_problem(
     holds_error = field == "auto" and start.robot_error is not None
     is_free = choice.is_free(names, [TARGET_SCALE, *([ROBOT_ERROR] if holds_error else [])])
     fitted_field = None if field == "auto" else field
+    size = float(np.asarray(start.target_scale))
     mean, weight = prior_means_and_weights(
-        names,
-        shared_size,
-        choice.priors,
-        noise_model,
-        fitted_field,
-        float(np.asarray(start.target_scale)),
+        names, shared_size, choice.priors, noise_model, fitted_field, size
     )
     if noise_model is not None:
         # The correction of a view with too few points to determine its pose is held, unless a prior
         # constrains it.
         usable = np.isin(np.arange(data.view_count), views).repeat(6)
         is_free[shared_size:] &= usable | (weight[shared_size:] > 0.0)
+    table = ParameterTable(names, shared_size, is_free, mean, weight)
     # Arrays are created by NumPy, because every JAX operation on the host would be compiled.
     arrays = {
         "pixel_sigma": np.array(noise_model.pixel if noise_model else 1.0),
-        "free": np.flatnonzero(is_free[:shared_size]),
-        "per_view_free": is_free[shared_size:].reshape(-1, 6),
-        "prior_mean": _host_step_from_vector(mean, shared_size),
-        "prior_weight": _host_step_from_vector(weight, shared_size),
-        "scale": host_step(
-            np.ones(is_free[:shared_size].sum()), np.ones((len(names[shared_size:]) // 6, 6))
-        ),
+        **table.fields(),
     }
+    unprojectable = unprojectable_points(data, start)
+    visible = to_device(np.asarray(data.visible) & ~unprojectable)
     problem = JointProblem(
         parameters=shared,
-        observations=data.observations,
+        observations=with_fields(data.observations, visible=visible),
         **to_device_together(arrays),
         loss=loss_by_name(loss),
         prepared_poses=prepare_poses(start.robot_error, data.observations.command),
     )
-    unprojectable = unprojectable_points(data, start)
-    visible = to_device(np.asarray(data.visible) & ~unprojectable)
-    observations = with_fields(problem.observations, visible=visible)
-    problem = with_fields(problem, observations=observations)
     return BuiltProblem(
-        problem,
-        tuple(names[k] for k in np.flatnonzero(is_free[:shared_size])),
-        tuple(names[shared_size + k] for k in np.flatnonzero(is_free[shared_size:])),
-        noise_model,
-        unprojectable,
+        problem, table.shared_names, table.per_view_names, noise_model, unprojectable
     )
+
+
+def _checked_noise(noise: str | Noise) -> Noise | None:
+    """Return the noise; None for exact poses of the robot.
+
+    Raises:
+        ValueError: another text than `"trusted"`.
+    """
+    if isinstance(noise, Noise):
+        return noise
+    if noise != "trusted":
+        raise ValueError(
+            'noise is "trusted", "estimated" or a Noise(pixel, translation, rotation), where '
+            f'"estimated" is for fit_joint only; found {noise!r}'
+        )
+    return None
 
 
 def _require_same_setup(data: Dataset, start: Calibration) -> None:
@@ -360,16 +354,6 @@ def _values_at(parameters: Parameters, other: Calibration) -> Float[Array, "shar
     # Priors on the robot's error always have a mean.
     other = dataclasses.replace(other, robot_error=parameters.start.robot_error)
     return parameters.values() + parameters.step_to(other)
-
-
-def step_from_vector(vector: Float[np.ndarray, "parameters"], shared_size: int) -> Step:
-    """Split a flat vector into the shared parameters and six per view."""
-    return to_device_together(_host_step_from_vector(vector, shared_size))
-
-
-def _host_step_from_vector(vector: Float[np.ndarray, "parameters"], shared_size: int) -> Step:
-    """Return the step of `step_from_vector` as NumPy arrays."""
-    return host_step(vector[:shared_size], vector[shared_size:].reshape(-1, 6))
 
 
 def unprojectable_points(data: Dataset, start: Calibration) -> Bool[np.ndarray, "views points"]:

@@ -12,7 +12,7 @@ from ..argument_checks import errors_at
 from ..calibration import BASES, Calibration, transform_names
 from ..dataset import Rig, arms_of, is_pair, require_same_set_up
 from ..robot_errors import FieldChoice, checked_field_choice
-from ..runtime.array_namespace import to_device
+from ..runtime.array_namespace import stacked_on_device, to_device, to_device_together
 from ..runtime.padding import padded_counts, repeat_last
 from .abstract_problem import AbstractBuiltProblem
 from .noise import Noise
@@ -27,13 +27,12 @@ from .parameters import (
     parameter_names,
 )
 from .prepared_poses import PreparedPoses, prepare_poses
-from .priors import ParameterChoice, ParameterOptions, Prior
+from .priors import ParameterChoice, ParameterOptions, ParameterTable, Prior
 from .problem import JointProblem
 from .problem_builder import (
     TYPICAL_DEPTH_BIAS,
     equal_on_host,
     prior_means_and_weights,
-    step_from_vector,
     unprojectable_points,
     with_depth_bias,
     with_field,
@@ -111,13 +110,7 @@ def build_rig(
     choice = ParameterChoice.of(**parameters)
     rig.require_one_arm("build_rig")
     field = checked_field_choice(field)
-    require_starts(rig, starts)
-    if field == "auto":
-        _require_one_robot_error(starts)
-    starts = {
-        name: with_depth_bias(with_field(without_region(starts[name]), field), data)
-        for name, data in rig.cameras.items()
-    }
+    starts = _checked_starts(rig, starts, field)
     rig = _with_bases_of(rig, starts)
     camera_names = rig_parameter_names(rig, starts)
     names = tuple(dict.fromkeys(name for of_camera in camera_names.values() for name in of_camera))
@@ -132,40 +125,72 @@ def build_rig(
         _with_known_depth_noise(rig, noise, relative), starts, prepared, index, relative
     )
 
-    corrections = correction_names(rig.view_ids)
-    whole, size = (*names, *corrections), len(names)
-    held = [name for name in names if is_size(name)]
-    if field == "auto" and error is not None:
-        held.append(ROBOT_ERROR)
-    is_free = choice.is_free(whole, held)
-    # A state that no camera saw well enough keeps its reported pose.
-    placed = np.array([len(cameras) > 0 for cameras in rig.seeing])
-    is_free[size:] &= placed.repeat(6)
-    fitted_field = None if field == "auto" else field
-    priors = _priors_of_depths(starts) | choice.priors
-    mean, weight = prior_means_and_weights(whole, size, priors, noise, fitted_field, 1.0)
-    states = len(rig.view_ids)
+    choice = choice._replace(priors=_priors_of_depths(starts) | choice.priors)
+    table = _parameter_table(rig, names, choice, noise, field, holds_error=error is not None)
     problem = RigProblem(
         groups=groups,
         command=rig.command,
         start_error=error,
         pixel_sigma=to_device(np.array(noise.pixel)),
         camera_mask=to_device(camera_mask(names)),
-        free=to_device(np.flatnonzero(is_free[:size])),
-        per_view_free=to_device(is_free[size:].reshape(-1, 6)),
-        prior_mean=step_from_vector(mean, size),
-        prior_weight=step_from_vector(weight, size),
-        scale=Step(to_device(np.ones(is_free[:size].sum())), to_device(np.ones((states, 6)))),
+        **to_device_together(table.fields()),
     )
     return BuiltRig(
         problem,
-        tuple(names[k] for k in np.flatnonzero(is_free[:size])),
-        tuple(corrections[k] for k in np.flatnonzero(is_free[size:])),
+        table.shared_names,
+        table.per_view_names,
         noise,
         starts,
         cameras,
         camera_names,
     )
+
+
+def _checked_starts(
+    rig: Rig, starts: Mapping[str, Calibration], field: FieldChoice
+) -> dict[str, Calibration]:
+    """Return the starts with the robot's error field, and with biases where there are depths.
+
+    Raises:
+        ValueError: they do not belong to the rig, or hold different errors of the robot.
+    """
+    require_starts(rig, starts)
+    if field == "auto":
+        _require_one_robot_error(starts)
+    return {
+        name: with_depth_bias(with_field(without_region(starts[name]), field), data)
+        for name, data in rig.cameras.items()
+    }
+
+
+def _parameter_table(
+    rig: Rig,
+    names: tuple[str, ...],
+    choice: ParameterChoice,
+    noise: Noise,
+    field: FieldChoice,
+    holds_error: bool,
+) -> ParameterTable:
+    """Return all parameters of a rig, its states' corrections among them.
+
+    Args:
+        rig: data sets of the cameras.
+        names: names of the shared parameters.
+        choice: which are free, and their priors.
+        noise, field: as of `build_rig`.
+        holds_error: whether the starts have an error of the robot, which `field="auto"` holds.
+    """
+    whole, size = (*names, *correction_names(rig.view_ids)), len(names)
+    held = [name for name in names if is_size(name)]
+    if field == "auto" and holds_error:
+        held.append(ROBOT_ERROR)
+    is_free = choice.is_free(whole, held)
+    # A state that no camera saw well enough keeps its reported pose.
+    placed = np.array([len(cameras) > 0 for cameras in rig.seeing])
+    is_free[size:] &= placed.repeat(6)
+    fitted_field = None if field == "auto" else field
+    mean, weight = prior_means_and_weights(whole, size, choice.priors, noise, fitted_field, 1.0)
+    return ParameterTable(whole, size, is_free, mean, weight)
 
 
 def _with_known_depth_noise(rig: Rig, noise: Noise, relative_sigmas: Mapping[str, float]) -> Rig:
@@ -303,11 +328,10 @@ def _grouped(
                     rig, camera, starts[camera], prepared, relative_sigmas[camera], (views, points)
                 )
             )
-        stacked = jax.tree.map(
-            lambda *x: to_device(np.stack([np.asarray(y) for y in x])), *problems
-        )
         places = np.array([index[camera] for camera in cameras])
-        groups.append(CameraGroup(stacked, to_device(places), to_device(np.stack(states))))
+        groups.append(
+            CameraGroup(stacked_on_device(problems), to_device(places), to_device(np.stack(states)))
+        )
     return tuple(groups), tuple(tuple(cameras) for cameras in by_kind.values())
 
 

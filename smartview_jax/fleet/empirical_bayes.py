@@ -23,7 +23,6 @@ prediction, 2010.
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -32,6 +31,7 @@ from scipy.optimize import minimize
 from ..joint import JointFit
 from ..robot_errors import RobotPrior, arm_parameters
 from ..runtime.blas_threads import on_one_blas_thread
+from ..runtime.modules import fields_of
 from ..variance import RobotEvidence, SizesOfErrors
 from .type_mean import CommonErrorsOfType
 
@@ -133,9 +133,7 @@ def _prior_of_type(evidence: Sequence[RobotEvidence], general: RobotPrior) -> Fl
     shares, _ = _shares(logs, members)
     of_type = np.logaddexp.reduce(logs + np.log(shares)[:, None], axis=0)
     members = _shares(np.stack([of_type, any_robot]))[1][0]
-    values: dict[str, Any] = {
-        field.name: getattr(prior, field.name) for field in dataclasses.fields(RobotPrior)
-    }
+    values = fields_of(prior, RobotPrior)
     values["model_odds"] = dict(zip(models, map(float, shares), strict=True))
     common = _common_errors(evidence, best, sizes[best], members, general)
     values["common_errors"] = None if common is None else common.told_by_all

@@ -9,6 +9,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from ..runtime.array_namespace import AnyArray, array_namespace
 from .left_jacobians import exponential_factors
 
 
@@ -81,10 +82,11 @@ def transforms_of(matrices: Float[Array, "*batch 4 4"]) -> SE3:
 
 
 def quaternion_product(
-    first: Float[Array, "*batch 4"], second: Float[Array, "*batch 4"]
-) -> Float[Array, "*batch 4"]:
-    """Return the products of quaternions, real part first."""
-    return jnp.einsum("...i,ijk,...j->...k", first, _QUATERNION_PRODUCT, second)
+    first: Float[AnyArray, "*batch 4"], second: Float[AnyArray, "*batch 4"]
+) -> Float[AnyArray, "*batch 4"]:
+    """Return the products of quaternions of any length, real part first."""
+    xp = array_namespace(first, second)
+    return xp.einsum("...i,ijk,...j->...k", first, _QUATERNION_PRODUCT, second)
 
 
 def _like(matrix: Float[np.ndarray, "rows columns"], axes: int) -> Float[Array, "..."]:

@@ -27,6 +27,7 @@ from ..geometry import (
     host_rotation_vectors,
     host_transforms,
     mean_matrix,
+    quaternion_product,
 )
 
 _Matrix = Float[np.ndarray, "4 4"]
@@ -257,7 +258,7 @@ def daniilidis(
     length = np.linalg.norm(q)
     q, q_dual = q / length, q_dual / length
     # The dual part is q' = t q / 2, so the translation is the vector part of 2 q' q^-1.
-    translation = 2.0 * _quaternion_product(q_dual, q * [1.0, -1.0, -1.0, -1.0])[1:]
+    translation = 2.0 * quaternion_product(q_dual, q * [1.0, -1.0, -1.0, -1.0])[1:]
     numbers = np.concatenate([q, translation])
     camera_from_mount = host_matrices(SE3(numbers))  # pyright: ignore[reportArgumentType]
     return camera_from_mount, mean_holder_from_world(
@@ -341,23 +342,7 @@ def _dual_quaternion(
     """Return real part q and dual part `t q / 2` of the unit dual quaternions of poses."""
     q = _quaternions(poses)
     t = np.pad(poses[:, :3, 3], ((0, 0), (1, 0)))
-    return q, 0.5 * _quaternion_product(t.T, q.T).T
-
-
-def _quaternion_product(
-    p: Float[np.ndarray, "4 *batch"], q: Float[np.ndarray, "4 *batch"]
-) -> Float[np.ndarray, "4 *batch"]:
-    """Return the product `p q` of quaternions of any length, scalar part first."""
-    a, b, c, d = p
-    e, f, g, h = q
-    return np.stack(
-        [
-            a * e - b * f - c * g - d * h,
-            a * f + b * e + c * h - d * g,
-            a * g - b * h + c * e + d * f,
-            a * h + b * g - c * f + d * e,
-        ]
-    )
+    return q, 0.5 * quaternion_product(t, q)
 
 
 def _quadratic_roots(a: float, b: float, c: float) -> Float[np.ndarray, "2"]:

@@ -12,10 +12,9 @@ The cost is the Frobenius norm of `camera_from_mount T_i holder_from_world - C_i
 over the distance to the target.
 """
 
-import itertools
-
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from ..dataset import undetermined_twists
 from ..geometry import (
@@ -67,23 +66,12 @@ def minimum_norm_transforms(
     some = np.unique(spaced.astype(int))
     T, C = mount_from_holder[some], camera_from_world[some]
     translation = np.zeros(3) if start[1] is None else start[1][:3, 3]
-    starts = host_poses(_cube_rotations(), translation)
+    # One of the 24 rotations of a cube is within 63 degrees of any rotation.
+    starts = host_poses(Rotation.create_group("O").as_matrix(), translation)
     costs, _, worlds = _search(T, C, starts, twists, SEARCH_TOLERANCE)
     best = worlds[[np.argmin(costs)]]
     _, (camera,), (world,) = _search(mount_from_holder, camera_from_world, best, twists, 1e-12)
     return _shifted_to_start(camera, world, mount_from_holder[0], twists, start, camera_on_hand)
-
-
-def _cube_rotations() -> Float[np.ndarray, "24 3 3"]:
-    """Return the 24 rotations of a cube: one of them is within 63 degrees of any rotation."""
-    matrices = np.array(
-        [
-            np.eye(3)[list(order)] * np.array(signs)[:, None]
-            for order in itertools.permutations(range(3))
-            for signs in itertools.product((1.0, -1.0), repeat=3)
-        ]
-    )
-    return matrices[np.linalg.det(matrices) > 0.0]
 
 
 def _search(

@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from ..argument_checks import name_problem, no_name, require_readable, shortened_repr
 from ..files import write_atomically
@@ -235,6 +236,27 @@ def write_table(
     lines = [row_text(row) for row in (header, *rows)]
     lines += [f"# {comment}\n" for comment in comments]
     write_atomically(path, "".join(lines))
+
+
+def write_view_table(
+    path: Path,
+    view_ids: Sequence[str],
+    columns: Sequence[str],
+    numbers: Float[np.ndarray, "views numbers"],
+) -> None:
+    """Write a CSV file with a row of numbers for each view, completely or not at all.
+
+    Args:
+        path: of the file.
+        view_ids: names of the views.
+        columns: names of the columns after the view's name.
+        numbers: of each view.
+
+    Raises:
+        ValueError: the file could not be read back with a view's name; nothing is written.
+    """
+    rows = [(view, *map(float, row)) for view, row in zip(view_ids, numbers, strict=True)]
+    write_table(path, (VIEW_COLUMN, *columns), rows)
 
 
 def row_text(row: Sequence[object]) -> str:

@@ -67,7 +67,7 @@ def picture_files(
         ValueError: a pattern without the height, or pictures without a pose.
     """
     folder, table = described.folder, described.view_table
-    heights = range(len(target.heights)) if isinstance(target, StackedTarget) else range(1)
+    heights = range(target.height_count)
     if board_heights is None and len(heights) > 1 and "{height}" not in pattern:
         raise ValueError(
             f"{described.path}: pictures.pattern: {len(heights)} heights need {{height}} in it, "

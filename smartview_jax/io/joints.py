@@ -25,7 +25,7 @@ from .csv_tables import (
     parse_numbers,
     read_table,
     refuse_truncated,
-    write_table,
+    write_view_table,
 )
 from .folder_description import DescribedFolder
 from .view_names import with_names_of
@@ -106,8 +106,7 @@ def write_joints(
     """
     columns = _joint_columns(arm)
     _refuse_impossible(folder / JOINTS_FILE, view_ids, joints, columns)
-    rows = [(view, *map(float, row)) for view, row in zip(view_ids, joints, strict=True)]
-    write_table(folder / JOINTS_FILE, ("view", *columns), rows)
+    write_view_table(folder / JOINTS_FILE, view_ids, columns, joints)
 
 
 def joints_entry(count: int, arm: SerialArm) -> dict[str, Any]:

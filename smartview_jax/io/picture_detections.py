@@ -131,7 +131,7 @@ def _detect_view(
 
     Of a picture at a single height the points at the others are not visible.
     """
-    board = target.board if isinstance(target, StackedTarget) else target
+    board = target.flat_board
     parts, reasons = [], []
     for path, content in zip(paths, contents, strict=True):
         picture = decode_picture(path, content, image_size)

@@ -9,7 +9,7 @@ from jaxlie import SE3
 from jaxtyping import Bool, Float
 
 from ..calibration import mount_frames
-from ..dataset import Dataset
+from ..dataset import Dataset, evenly_spaced
 from ..detection import consistent_ordering, left_out_note, read_picture, shown_instead
 from ..geometry import PoseLike, as_se3, host_matrices
 from ..targets import AbstractTarget, CircleGrid, StackedTarget
@@ -87,13 +87,13 @@ def dataset_from_pictures(
 def _shown_instead(pictures: Mapping[str, Sequence[Path]], target: AbstractTarget) -> str:
     """Return what some pictures show instead of the target, as a clause; empty if nothing known."""
     paths = [path for view_paths in pictures.values() for path in view_paths]
-    asked = np.unique(np.linspace(0, len(paths) - 1, MAX_ASKED_PICTURES).round().astype(int))
+    asked = evenly_spaced(len(paths), MAX_ASKED_PICTURES)
     shown = []
     for path in (paths[k] for k in asked):
         # A picture that cannot be read tells nothing; the reason of its view says so.
         with suppress(FileNotFoundError, ValueError):
             shown.append(read_picture(path))
-    return shown_instead(shown, target.board if isinstance(target, StackedTarget) else target)
+    return shown_instead(shown, target.flat_board)
 
 
 def _shown_picture(paths: Sequence[Path], visible: Bool[np.ndarray, " points"]) -> Path:
@@ -112,7 +112,7 @@ def _refuse_undetected_rows(
     Circles carry no numbers: if the stated grid is larger than the real one, every view of the real
     grid looks like a partial view of the stated grid, and nothing else reveals the mistake.
     """
-    grid = target.board if isinstance(target, StackedTarget) else target
+    grid = target.flat_board
     if not isinstance(grid, CircleGrid):
         return
     # Whether any view, at any height, shows the circle at each row and column.
@@ -139,7 +139,7 @@ def _consistent_numbering(
     """
     target, mount, holder_from_world = shown.target, shown.mount, shown.holder_from_world
     stacked = isinstance(target, StackedTarget)
-    board = target.board if stacked else target
+    board = target.flat_board
     symmetries = board.symmetries
     if len(symmetries) == 1:
         return pixels, ""

@@ -28,7 +28,7 @@ from .csv_tables import (
     read_table,
     refuse_out_of_range,
     refuse_truncated,
-    write_table,
+    write_view_table,
 )
 from .pose_format import PoseFormat, decoded_poses, stated_format, table_format
 from .rounding import rounding_note
@@ -153,12 +153,7 @@ def write_poses(
     codec, path = pose_codec(pose_format), folder / file
     require_readable(f"{path}: view", view_ids)
     refuse_out_of_range(path, np.asarray(poses.translation()), view_ids)
-    rows = codec.encode(poses, *codec.units)
-    write_table(
-        path,
-        ("view", *codec.columns),
-        [(view, *map(float, row)) for view, row in zip(view_ids, rows, strict=True)],
-    )
+    write_view_table(path, view_ids, codec.columns, codec.encode(poses, *codec.units))
 
 
 def poses_entry(

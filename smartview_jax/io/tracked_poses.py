@@ -39,7 +39,7 @@ from ..cameras import camera_from_dict, camera_to_dict
 from ..dataset import DepthSensor, PoseDataset
 from ..geometry import as_se3, host_matrices
 from ..runtime.array_namespace import to_device
-from .csv_tables import parse_numbers, read_table, refuse_truncated, write_table
+from .csv_tables import parse_numbers, read_table, refuse_truncated, write_view_table
 from .folder_description import DescribedFolder
 from .poses import poses_entry, read_poses, write_poses
 from .robot_readings import read_robot_readings
@@ -141,11 +141,7 @@ def _write_covariances(data: PoseDataset, folder: Path) -> dict[str, Any]:
         entries["depth_sensor"] = dataclasses.asdict(data.sensor)
     rows = np.concatenate(columns, axis=1)
     ids = [data.view_ids[view] for view in seen]
-    write_table(
-        folder / COVARIANCES_FILE,
-        ("view", *names),
-        [(view, *map(float, row)) for view, row in zip(ids, rows, strict=True)],
-    )
+    write_view_table(folder / COVARIANCES_FILE, ids, names, rows)
     entries["covariances"] = {"file": COVARIANCES_FILE, "rows": len(ids)}
     return entries
 

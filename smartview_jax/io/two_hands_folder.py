@@ -6,7 +6,7 @@ from pathlib import Path
 from ..argument_checks import errors_at
 from ..dataset import Dataset
 from ..geometry import host_matrices
-from ..targets import AbstractTarget, StackedTarget
+from ..targets import AbstractTarget
 from .poses import RobotReadings
 
 
@@ -40,7 +40,7 @@ def require_one_numbering(target: AbstractTarget, path: Path) -> None:
     The motion of one arm tells which numberings agree; the motions of two do not, as long as it is
     not known where their bases are.
     """
-    board = target.board if isinstance(target, StackedTarget) else target
+    board = target.flat_board
     if len(board.symmetries) > 1:
         raise ValueError(
             f"{path}: target: a target on another hand must not look the same when turned, as this "

@@ -1,6 +1,7 @@
 from .camera_fit import CameraFit as CameraFit
 from .camera_fit import batch_least_squares as batch_least_squares
 from .camera_fit import fit_camera as fit_camera
+from .fit import JointOptions as JointOptions
 from .fit import fit_joint as fit_joint
 from .fit_text import calibration_forms as calibration_forms
 from .fit_text import estimate_groups as estimate_groups
@@ -15,7 +16,6 @@ from .joint_fit import view_influence as view_influence
 from .many import ManyFits as ManyFits
 from .many import fit_many as fit_many
 from .open_directions import OpenDirections as OpenDirections
-from .options import JointOptions as JointOptions
 from .parameter_estimates import ParameterEstimate as ParameterEstimate
 from .parameter_estimates import displayed_values as displayed_values
 from .parameter_estimates import parameter_estimates as parameter_estimates
@@ -29,6 +29,7 @@ from .pose_start import start_from_poses as start_from_poses
 from .precompile import needs_precompiling as needs_precompiling
 from .precompile import precompile as precompile
 from .relative_pose import RelativePose as RelativePose
+from .relative_pose import RigUncertainty as RigUncertainty
 from .relative_pose import relative_pose as relative_pose
 from .rig_estimate import JOINT_SUFFIX as JOINT_SUFFIX
 from .rig_estimate import RIG_FILE as RIG_FILE

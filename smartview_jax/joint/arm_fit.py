@@ -23,12 +23,12 @@ from ..fit_result import Rejection
 from ..geometry import host_transforms
 from ..robot_errors import FieldChoice, RobotPrior
 from ..variance import RigNoiseEstimate, estimate_rig_noise
+from .consistent_views import inflation_reason, is_plausible, judging_prior
 from .fitted_depth_sensor import weighed_depths
 from .gross_errors import without_views
 from .rig_rejection import Contradiction, contradiction, suspect_state
 from .undetermined_motion import UndeterminedMotion
 from .undetermined_rig import undetermined_motion_of_rig
-from .view_rejection import inflation_reason, is_plausible, judging_prior
 
 
 class SolvedArm(NamedTuple):

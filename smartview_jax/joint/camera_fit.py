@@ -22,8 +22,7 @@ from ..fit_result import FitCode, FitResult
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled
 from ..staged import CommonCameraOptions, outlier_limits, pixel_residuals, robust_sigma
-from .fit import fit_joint
-from .options import CameraOptions
+from .fit import CameraOptions, fit_joint
 
 MAX_REJECTION_ITERATIONS = 10
 """The largest number of fits, each without the outliers of the fit before."""

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..calibration import host_mount_from_holder
 from ..dataset import MINIMUM_RELIABLE_VIEWS, UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
 from ..geometry import (
     host_adjoints,
@@ -200,7 +199,7 @@ class _Chain:
 
     def _by_field(self) -> Float[np.ndarray, "views 6 coefficients"]:
         """Return the change of the predictions by the robot error field."""
-        robot = host_matrices(host_mount_from_holder(self.data.mount, self.data.base_from_tool))
+        robot = host_matrices(self.data.mount_from_holder)
         place = (self.camera_from_mount @ robot @ self.holder_from_world)[:, :3, 3]
         by_twist = np.tile(np.eye(6), (len(robot), 1, 1))
         by_twist[:, :3, 3:] = -host_cross_matrices(place)

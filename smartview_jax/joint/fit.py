@@ -1,7 +1,7 @@
 """Fit all parameters of the chain to every observation in one nonlinear least squares problem."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import optimistix as optx
@@ -10,13 +10,7 @@ from jaxtyping import Array, Bool
 from ..argument_checks import require_instance, require_one_of
 from ..calibration import Calibration
 from ..cameras import AbstractLens
-from ..dataset import (
-    Dataset,
-    PoseDataset,
-    chain_residuals,
-    digests_to_keep,
-    repeated_views,
-)
+from ..dataset import Dataset, PoseDataset, chain_residuals, digests_to_keep, repeated_views
 from ..engine import AbstractLoss, Noise, ParameterChoice, Prior, with_lens
 from ..fit_result import Rejection
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
@@ -35,6 +29,26 @@ from .view_fit import FitOptions
 
 GROSS_ERRORS_OPTIONS = ("auto", "keep", "leave_out")
 """The accepted values of `gross_errors`."""
+
+
+class CameraOptions(TypedDict, total=False):
+    """The options of `fit_joint` that also a camera alone has, as its keyword arguments."""
+
+    loss: str | AbstractLoss | None
+    fixed: Sequence[str]
+    priors: Mapping[str, Prior] | None
+    solver: optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | None
+
+
+class JointOptions(CameraOptions, total=False):
+    """The options of `fit_joint` that concern the fit itself, as its keyword arguments."""
+
+    noise: str | Noise
+    field: FieldChoice
+    free: Sequence[str]
+    devices: Sequence[Any] | None
+    gross_errors: str
+    robot_prior: RobotPrior | None
 
 
 @on_one_blas_thread

@@ -1,15 +1,23 @@
-"""Weigh the depths of a camera for a joint fit, and describe its depth sensor by the result."""
+"""Depth sensors in a joint fit: how their depths count, and how well their biases are known.
 
+A camera with depths weighs them, and its fit describes the sensor. A sensor that measured whole
+poses was described before the fit, whose covariance grows by the uncertainty of that description.
+"""
+
+import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from ..calibration import Calibration
-from ..dataset import Dataset, DepthSensor
-from ..engine import DEPTH_BIAS_NAMES, Noise, ParameterChoice
+from ..dataset import Dataset, DepthSensor, PoseDataset
+from ..engine import DEPTH_BIAS_NAMES, Noise, ParameterChoice, solve
+from ..geometry import host_exponentials, host_transforms
 from ..robot_errors import FieldChoice
 from ..variance import with_weighed_depths
+from .joint_fit import JointFit
 
 
 def fitted_depth_sensor(
@@ -63,3 +71,32 @@ def weighed_depths(
         return with_weighed_depths(data, start, choice, field)
     own_field = start.field if field == "auto" else field
     return with_weighed_depths(data, start, choice, own_field, noise.within_view_pixel)
+
+
+def with_sensor_error(fit: JointFit, data: PoseDataset) -> dict[str, Any]:
+    """Return covariance and standard deviations with the uncertainty of the sensor's bias.
+
+    An error of the bias moves all tracked poses together. The fit's change is found by fitting
+    poses that are moved by one standard deviation of each independent part of the bias.
+    """
+    assert data.sensor is not None
+    assert data.camera_from_world is not None
+    # Columns: changes of each pose by the independent parts of the bias.
+    changes = np.asarray(data.sensor_changes) @ np.linalg.cholesky(data.sensor.covariance)
+    added, measured = np.zeros_like(fit.covariance), data.tracked_matrices
+    for part in np.moveaxis(changes, 2, 0):
+        moved = measured.copy()
+        turn = np.concatenate([np.zeros_like(part[:, 3:]), part[:, 3:]], axis=1)
+        moved[:, :3, :3] = (host_exponentials(turn) @ measured)[:, :3, :3]
+        moved[:, :3, 3] += part[:, :3]
+        observations = dataclasses.replace(
+            fit.problem.observations, camera_from_world=host_transforms(moved)
+        )
+        problem = dataclasses.replace(fit.problem, observations=observations)
+        solution, _ = solve(problem, start=fit.solution.z)
+        step = np.asarray(solution.z.shared) - np.asarray(fit.solution.z.shared)
+        added += np.outer(step, step)
+    std = dict(fit.std)
+    for name, variance in zip(fit.parameter_names, np.diagonal(added), strict=True):
+        std[name] = float(np.hypot(std[name], np.sqrt(variance)))
+    return {"covariance": fit.covariance + added, "std": std}

@@ -14,7 +14,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool, Float
 
-from ..calibration import ONE_ARM_MOUNTS, Calibration, host_mount_from_holder
+from ..calibration import ONE_ARM_MOUNTS, Calibration
 from ..data_checks import find_consistent_views, median_reprojection_errors
 from ..dataset import Dataset, Observations, medians_by_view, view_residuals
 from ..engine import (
@@ -112,7 +112,7 @@ def remove_gross_errors(
     }
     # A pose needs four points.
     trusted = (count >= 4) & ~np.isin(np.arange(len(count)), list(rejected_views))
-    robot_poses = host_mount_from_holder(data.mount, data.base_from_tool)
+    robot_poses = data.mount_from_holder
     rejected_views |= find_consistent_views(
         robot_poses,
         poses,

@@ -30,7 +30,7 @@ from ..engine import (
 )
 from ..fit_result import Rejection
 from ..robot_errors import FieldChoice, checked_field_choice
-from ..runtime.array_namespace import to_device
+from ..runtime.array_namespace import stacked_on_device, to_device
 from ..runtime.padding import padded_counts
 from .batched_fits import (
     FITS_AXIS,
@@ -274,7 +274,7 @@ def _stacked(
             calibration, corrections, *rest = results[k]
         more_views = ((0, views - len(corrections)), (0, 0))
         rows.append((calibration, np.pad(corrections, more_views), *rest))
-    return jax.tree.map(lambda *x: to_device(np.stack([np.asarray(y) for y in x])), *rows)
+    return stacked_on_device(rows)
 
 
 def _require_same_structure(data: Sequence[Dataset], starts: Sequence[Calibration]) -> None:

@@ -14,12 +14,7 @@ from jaxtyping import Float
 from ..calibration import BOW, PRINT, Calibration
 from ..cameras import Camera, lens_name
 from ..data_checks import OTHER_ARM_RATIO, OTHER_ARM_TEXT, mistaken_unit
-from ..dataset import (
-    MINIMUM_RELIABLE_VIEWS,
-    PoseObservations,
-    distinct_poses,
-    repetition_warnings,
-)
+from ..dataset import MINIMUM_RELIABLE_VIEWS, PoseObservations, distinct_poses, repetition_warnings
 from ..engine import TARGET_SCALE, Direction, step_names
 from ..geometry import host_matrices, vector_text
 from ..robot_errors import nominal_arm
@@ -326,7 +321,7 @@ def _robot_warnings(fit: JointFit, values_are_wrong: bool) -> list[str]:
     sigmas = np.array([*fit.noise_estimate.largest_pose_sigmas, *noise.field])
     along = "" if fit.noise_estimate.directions is None else " in their worst direction"
     names = [f"{part} of reported poses{along}" for part in ("translation", "rotation")]
-    names += [] if field is None else [name for name, _ in field.groups]
+    names += [] if field is None else field.group_names
     medians, log_stds = prior.medians(field), prior.log_stds(field)
     # Log-normal prior: implausible is log(sigma / median) > MAX_PRIOR_SIGMAS log_std.
     implausible = np.log(sigmas / medians) > MAX_PRIOR_SIGMAS * log_stds

@@ -23,17 +23,18 @@ from ..calibration import Calibration
 from ..cameras import Camera
 from ..data_checks import both_inverted_doubt
 from ..dataset import PoseDataset, chain_residuals, repeated_pairs
-from ..engine import Prior
+from ..engine import TARGET_SCALE, ParameterChoice, Prior
 from ..geometry import PoseLike, host_matrices
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..runtime.blas_threads import on_one_blas_thread
+from ..runtime.modules import fields_of
 from .drifting_tracker import TrackerDrift
 from .fit_text import robot_noise_text
+from .fitted_depth_sensor import with_sensor_error
 from .gross_errors import without_views
 from .joint_fit import JointFit
-from .pose_rounds import PoseRounds, pose_rms, tracked_pose_errors
-from .sensor_error import with_sensor_error
+from .pose_rounds import PoseFitOptions, PoseRounds, pose_rms, tracked_pose_errors
 from .tracker_noise import TrackerPrior
 
 
@@ -76,7 +77,7 @@ class PoseFit(JointFit):
         cls, fit: JointFit, data: PoseDataset, has_camera: bool, drift: TrackerDrift | None
     ) -> "PoseFit":
         """Return the fit of tracked poses, given as a joint fit in units of the tracker's noise."""
-        values = {field.name: getattr(fit, field.name) for field in dataclasses.fields(JointFit)}
+        values = fields_of(fit, JointFit)
         # Also of the pairs that the fit does not use.
         values["residuals"] = to_device(chain_residuals(fit.calibration, data.observations))
         values |= {"pose_format": data.pose_format, "sensor": data.sensor}
@@ -208,17 +209,15 @@ def fit_poses(
         raise ValueError(f"samples: expected at least 3 pairs of poses, found {count}")
     if data.states_covariance and tracker_prior is not None:
         raise ValueError("tracker_prior: the data set states the covariance of each pose already")
-    rounds = PoseRounds.of(
-        data,
-        start=start,
-        scale=scale,
-        fixed=fixed,
-        priors=priors,
-        robot_prior=robot_prior or RobotPrior(),
-        tracker_prior=tracker_prior or TrackerPrior(),
-        field=field,
-        progress=progress,
+    options = PoseFitOptions(
+        scale,
+        ParameterChoice.of(fixed, (TARGET_SCALE,) if scale else (), priors),
+        robot_prior or RobotPrior(),
+        tracker_prior or TrackerPrior(),
+        field,
+        progress,
     )
+    rounds = PoseRounds.of(data, start, options)
     agreeing = rounds.start.consistent.sum()
     report(f"start: {agreeing} of {len(data.usable_views())} pairs agree")
     found = rounds.fitted()

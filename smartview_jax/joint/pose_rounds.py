@@ -1,7 +1,7 @@
 """Fit tracked poses in rounds: first the pairs that agree, then also those that fit them."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..dataset import PoseDataset
-from ..engine import TARGET_SCALE, ParameterChoice, Prior
+from ..engine import TARGET_SCALE, ParameterChoice
 from ..geometry import PoseLike, host_transforms
 from ..robot_errors import FieldChoice, RobotPrior
 from ..runtime.array_namespace import to_device
@@ -61,66 +61,80 @@ class PosesFitted(NamedTuple):
     drift: TrackerDrift | None
 
 
+class PoseFitOptions(NamedTuple):
+    """The options of a fit to tracked poses.
+
+    Attributes:
+        scale: whether the tracker's unit of length is fitted.
+        choice: parameters to hold and to free, and priors.
+        robot_prior, tracker_prior: priors on the errors, as of `fit_poses`.
+        field: robot error field.
+        progress: called with a line of text for each stage.
+    """
+
+    scale: bool
+    choice: ParameterChoice
+    robot_prior: RobotPrior
+    tracker_prior: TrackerPrior
+    field: FieldChoice
+    progress: Callable[[str], None] | None
+
+    def fitting_scale(self) -> "PoseFitOptions":
+        """Return the options of a fit of the tracker's unit of length, too."""
+        return self._replace(scale=True, choice=self.choice.freeing(TARGET_SCALE))
+
+    def without_target(self) -> "PoseFitOptions":
+        """Return the options without a target's shape and a lens, which tracked poses lack."""
+        wrong_target = 0.0 if self.scale else self.robot_prior.wrong_target_probability
+        prior = dataclasses.replace(
+            self.robot_prior,
+            target_bow_median=0.0,
+            target_print_median=0.0,
+            wrong_lens_probability=0.0,
+            wrong_target_probability=wrong_target,
+        )
+        return self._replace(robot_prior=prior)
+
+
 class PoseRounds(NamedTuple):
     """The pairs of poses, the start, and the options: what the rounds of a fit have in common.
 
     Attributes:
         data: all pairs.
         start: calibration near the solution, with the pairs that agree there.
-        scale: whether the tracker's unit of length is fitted.
-        choice: parameters to hold and to free, and priors.
-        robot_prior, tracker_prior: priors on the errors, as of `fit_poses`.
         may_drift: whether a drift is considered, which is estimated with the whole chain.
-        field: robot error field.
-        progress: called with a line of text for each stage.
+        options: the options of the fit.
     """
 
     data: PoseDataset
     start: PoseStart
-    scale: bool
-    choice: ParameterChoice
-    robot_prior: RobotPrior
-    tracker_prior: TrackerPrior
     may_drift: bool
-    field: FieldChoice
-    progress: Callable[[str], None] | None
+    options: PoseFitOptions
 
     @classmethod
     def of(
-        cls,
-        data: PoseDataset,
-        *,
-        start: Mapping[str, PoseLike] | None,
-        scale: bool,
-        fixed: Sequence[str],
-        priors: Mapping[str, Prior] | None,
-        robot_prior: RobotPrior,
-        tracker_prior: TrackerPrior,
-        field: FieldChoice,
-        progress: Callable[[str], None] | None,
+        cls, data: PoseDataset, start: Mapping[str, PoseLike] | None, options: PoseFitOptions
     ) -> "PoseRounds":
-        """Return the rounds for the arguments of `fit_poses`, with the start that they ask for.
+        """Return the rounds of a fit, with the start that its options ask for.
 
         Raises:
             ValueError: see `fit_poses`.
         """
-        robot_prior = _without_target(robot_prior, scale)
+        options = options.without_target()
         # Fitted without the camera: poses do not tell of it, and each size of picture and each lens
         # would be another program.
         blank = blank_calibration(data)
         check_start(start, data)
-        choice = ParameterChoice.of(fixed, (TARGET_SCALE,) if scale else (), priors)
+        scale, choice = options.scale, options.choice
         require_moving_robot(data, blank, choice)
-        may_drift = not (data.states_covariance or fixed or priors)
+        may_drift = not (data.states_covariance or choice.fixed or choice.priors)
         begin = start_of_poses(data, blank, start, scale)
         if may_drift and not scale and begin.unit_doubt > MIN_UNIT_DOUBT:
-            begin = start_in_likelier_unit(data, blank, start, begin, robot_prior, tracker_prior)
+            errors = options.robot_prior, options.tracker_prior
+            begin = start_in_likelier_unit(data, blank, start, begin, *errors)
             if begin.in_own_unit:
-                scale, robot_prior = True, _without_target(robot_prior, True)
-                choice = ParameterChoice.of((), (TARGET_SCALE,), None)
-        return cls(
-            data, begin, scale, choice, robot_prior, tracker_prior, may_drift, field, progress
-        )
+                options = options.fitting_scale().without_target()
+        return cls(data, begin, may_drift, options)
 
     @property
     def factor(self) -> float:
@@ -164,9 +178,9 @@ class PoseRounds(NamedTuple):
 
     def _chain(self, used: PoseDataset) -> TrackedChain:
         """Return the chain of transforms for some pairs."""
-        return TrackedChain(
-            used, self.start.calibration, self.scale, self.robot_prior, self.tracker_prior
-        )
+        options = self.options
+        errors = options.robot_prior, options.tracker_prior
+        return TrackedChain(used, self.start.calibration, options.scale, *errors)
 
     def _fitted_to(self, consistent: Bool[np.ndarray, "views"]) -> PosesFitted:
         """Return the fit to the pairs that agree."""
@@ -184,14 +198,15 @@ class PoseRounds(NamedTuple):
                 used = dataclasses.replace(used, camera_from_world=without)
             covariance = noise.covariance if drift is None else drift.covariance
             used = with_noise(used, covariance, self.factor)
+        options = self.options
         fit = fit_joint(
             used,
             calibration,
-            field=self.field,
-            robot_prior=self.robot_prior,
+            field=options.field,
+            robot_prior=options.robot_prior,
             gross_errors="leave_out",
-            progress=self.progress,
-            **self.choice.holding("camera")._asdict(),
+            progress=options.progress,
+            **options.choice.holding("camera")._asdict(),
         )
         return PosesFitted(used, fit, noise, drift)
 
@@ -210,17 +225,6 @@ def pose_rms(errors: Float[np.ndarray, "views 2"]) -> tuple[float, float]:
     """Return the RMS distance (m) and angle (rad) of some errors."""
     distance, angle = np.sqrt(np.mean(errors**2, axis=0))
     return float(distance), float(angle)
-
-
-def _without_target(prior: RobotPrior, scale: bool) -> RobotPrior:
-    """Return the prior without a target's shape and a lens, which tracked poses do not have."""
-    return dataclasses.replace(
-        prior,
-        target_bow_median=0.0,
-        target_print_median=0.0,
-        wrong_lens_probability=0.0,
-        wrong_target_probability=0.0 if scale else prior.wrong_target_probability,
-    )
 
 
 def _contradictions(

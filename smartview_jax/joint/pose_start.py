@@ -7,14 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
-from ..calibration import Calibration, host_mount_from_holder
+from ..calibration import Calibration
 from ..cameras import Camera, Pinhole
-from ..data_checks import (
-    ConventionReport,
-    RobotAndCamera,
-    check_conventions,
-    find_shared_fault,
-)
+from ..data_checks import ConventionReport, RobotAndCamera, check_conventions, find_shared_fault
 from ..dataset import PoseDataset
 from ..engine import ParameterChoice
 from ..geometry import PoseLike, host_matrices, host_transforms
@@ -98,7 +93,7 @@ class _Agreement(NamedTuple):
 
 def _agreement(data: PoseDataset, scale: bool) -> _Agreement:
     """Return where robot and tracker agree, with the tracker's unit as stated or unknown."""
-    mount_from_holder = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
+    mount_from_holder = host_matrices(data.mount_from_holder)
     return _Agreement(*robust_hand_eye(mount_from_holder, data.tracked_matrices, data.seen, scale))
 
 
@@ -111,7 +106,7 @@ def _step3(
     """Return the calibration of Step 3 for the pairs that agree, with what is known."""
     given = known_transforms(start, data.mount)
     step3 = solve_hand_eye(
-        host_mount_from_holder(data.mount, data.base_from_tool),
+        data.mount_from_holder,
         measured_in_metres(data, agreement.factor),
         weights=agreement.consistent.astype(float),
         start=given,

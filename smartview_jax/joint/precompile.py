@@ -74,8 +74,7 @@ def precompile(
     if noise == "estimated":
         if field == "auto":
             field = encompassing_field(data, len(data.usable_views()))
-        group_count = 0 if field is None else len(field.groups)
-        noise_model = Noise(1.0, 1.0, 1.0, field=(1.0,) * group_count)
+        noise_model = Noise(1.0, 1.0, 1.0).with_unit_groups(field)
     identity = host_transforms(np.eye(4))
     # A fit without visible points ends at once, at the priors; only the array shapes matter.
     problem = build_problem(

@@ -112,25 +112,32 @@ def _with_infinity(numbers: Iterable[float | None]) -> list[float]:
     return [np.inf if number is None else number for number in numbers]
 
 
+class RigUncertainty(NamedTuple):
+    """The uncertainty of the common parameters of a rig.
+
+    Attributes:
+        parameter_names: names of the free parameters, as of `build_rig` or `build_arms`.
+        covariance: their covariance.
+        correction: what estimated noise adds to the covariance; None for given noise.
+        undetermined: combinations of parameters that nothing determines.
+    """
+
+    parameter_names: Sequence[str]
+    covariance: Float[np.ndarray, "free free"]
+    correction: SmallSampleCorrection | None = None
+    undetermined: Sequence[OpenDirections] = ()
+
+
 def relative_pose(
-    calibrations: Mapping[str, Calibration],
-    parameter_names: Sequence[str],
-    covariance: Float[np.ndarray, "free free"],
-    first: str,
-    second: str,
-    correction: SmallSampleCorrection | None = None,
-    undetermined: Sequence[OpenDirections] = (),
+    calibrations: Mapping[str, Calibration], known: RigUncertainty, first: str, second: str
 ) -> RelativePose:
     """Return the pose of the second camera in the frame of the first.
 
     Args:
         calibrations: calibration of each camera, by its name.
-        parameter_names: names of the free parameters, as of `build_rig`.
-        covariance: their covariance.
+        known: their uncertainty.
         first: name of a camera.
         second: name of a camera with the same mount.
-        correction: what estimated noise adds to the covariance; None for given noise.
-        undetermined: combinations of parameters that nothing determines.
 
     Raises:
         ValueError: no such camera, or cameras that the robot moves against each other.
@@ -148,27 +155,18 @@ def relative_pose(
     matrix = first_pose.matrix @ np.linalg.inv(second_pose.matrix)
     # A small motion (v, w) of A moves A B^-1 as it moves A; one of B by -Ad(A B^-1) (v, w).
     twists = [(first_pose, np.eye(6)), (second_pose, -host_adjoints(matrix))]
-    return _with_covariance(matrix, twists, parameter_names, covariance, correction, undetermined)
+    return _with_covariance(matrix, twists, known)
 
 
 def relative_base(
-    bases: Mapping[str, SE3],
-    parameter_names: Sequence[str],
-    covariance: Float[np.ndarray, "free free"],
-    first: str,
-    second: str,
-    correction: SmallSampleCorrection | None = None,
-    undetermined: Sequence[OpenDirections] = (),
+    bases: Mapping[str, SE3], known: RigUncertainty, first: str, second: str
 ) -> RelativePose:
     """Return the pose of the second arm's base in the base of the first.
 
     Args:
         bases: transform from each arm's base to the base of the first of all arms.
-        parameter_names: names of the free parameters, as of `build_arms`.
-        covariance: their covariance.
+        known: their uncertainty.
         first, second: names of arms.
-        correction: what estimated noise adds to the covariance; None for given noise.
-        undetermined: combinations of parameters that nothing determines.
 
     Raises:
         ValueError: no such arm.
@@ -183,7 +181,7 @@ def relative_base(
     by_motion = host_adjoints(first_inverse)
     twists = [(first_pose, -by_motion), (second_pose, by_motion)]
     matrix = first_inverse @ second_pose.matrix
-    return _with_covariance(matrix, twists, parameter_names, covariance, correction, undetermined)
+    return _with_covariance(matrix, twists, known)
 
 
 def _both(kind: str, by_name: Mapping[str, _T], first: str, second: str) -> tuple[_T, _T]:
@@ -204,10 +202,7 @@ class _Pose(NamedTuple):
 def _with_covariance(
     matrix: Float[np.ndarray, "4 4"],
     twists: Sequence[tuple[_Pose, Float[np.ndarray, "6 6"]]],
-    parameter_names: Sequence[str],
-    covariance: Float[np.ndarray, "free free"],
-    correction: SmallSampleCorrection | None,
-    undetermined: Sequence[OpenDirections],
+    known: RigUncertainty,
 ) -> RelativePose:
     """Return a transform with its covariance by the parameters of the transforms that make it up.
 
@@ -215,16 +210,15 @@ def _with_covariance(
     """
     names = [name for pose, _ in twists for name in pose.names]
     by_steps = [by_motion @ twist_by_step(pose.matrix) for pose, by_motion in twists]
-    place = {name: k for k, name in enumerate(parameter_names)}
+    place = {name: k for k, name in enumerate(known.parameter_names)}
     free = np.array([name in place for name in names])
     indices = [place[name] for name in names if name in place]
     by_all = np.linalg.solve(twist_by_step(matrix), np.hstack(by_steps))
-    is_open, jacobian = any_changed(undetermined, names, by_all), by_all[:, free]
-    known = np.asarray(covariance)[np.ix_(indices, indices)]
-    of_pose = jacobian @ known @ jacobian.T
-    if correction is None:
+    is_open, jacobian = any_changed(known.undetermined, names, by_all), by_all[:, free]
+    of_pose = jacobian @ np.asarray(known.covariance)[np.ix_(indices, indices)] @ jacobian.T
+    if known.correction is None:
         return RelativePose(host_transforms(matrix), _with_infinite(of_pose, is_open))
-    part = correction.subset(np.array(indices, dtype=int))
+    part = known.correction.subset(np.array(indices, dtype=int))
     added = jacobian @ part.added_covariance @ jacobian.T
     joined = joined_corrections([(part, jacobian)], np.diagonal(of_pose - added))
     freedom = tuple(np.where(is_open, np.inf, joined.degrees_of_freedom).tolist())

@@ -30,7 +30,7 @@ from ..geometry import host_matrices
 from ..variance import RigNoiseEstimate, SmallSampleCorrection
 from .joint_fit import half_width
 from .open_directions import OpenDirections, any_changed
-from .relative_pose import RelativePose, relative_base, relative_pose
+from .relative_pose import RelativePose, RigUncertainty, relative_base, relative_pose
 from .rig_estimate import rig_files, save_rig
 from .saved_estimate import SavedEstimate
 from .several_arms import own_jacobians
@@ -278,15 +278,7 @@ class RigFit(eqx.Module):
                 f"relative: camera {first!r} is on arm {a!r} and {second!r} on {b!r}: their "
                 "relative pose changes with the robots'; use `base` and their `camera_from_world`"
             )
-        return relative_pose(
-            self.calibrations,
-            self.parameter_names,
-            self.covariance,
-            first,
-            second,
-            self.small_sample_correction,
-            self.undetermined,
-        )
+        return relative_pose(self.calibrations, self._uncertainty, first, second)
 
     def base(self, first: str, second: str) -> RelativePose:
         """Return the pose of the second arm's base in the base of the first, with its covariance.
@@ -302,15 +294,13 @@ class RigFit(eqx.Module):
         """
         if not self.bases:
             raise ValueError(f"base: the rig has one arm, {next(iter(self.noises))!r}")
-        return relative_base(
-            self.bases,
-            self.parameter_names,
-            self.covariance,
-            first,
-            second,
-            self.small_sample_correction,
-            self.undetermined,
-        )
+        return relative_base(self.bases, self._uncertainty, first, second)
+
+    @property
+    def _uncertainty(self) -> RigUncertainty:
+        """The uncertainty of the common parameters."""
+        correction = self.small_sample_correction
+        return RigUncertainty(self.parameter_names, self.covariance, correction, self.undetermined)
 
     def confidence_half_width(self, name: str, level: float = 0.95) -> float:
         """Return the half width of a parameter's confidence interval, in its own unit.

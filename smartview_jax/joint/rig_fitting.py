@@ -38,6 +38,7 @@ from ..runtime.array_namespace import to_device
 from ..staged import with_region
 from ..variance import SmallSampleCorrection
 from .arm_fit import ArmOptions, SolvedArm, bases_of_pair, fit_arm
+from .consistent_views import is_plausible
 from .fitted_depth_sensor import fitted_depth_sensor
 from .held_parameters import held_camera_test
 from .open_directions import OpenDirections
@@ -48,7 +49,6 @@ from .told_by_others import with_told_by_others
 from .undetermined_motion import UndeterminedMotion
 from .undetermined_rig import undetermined_motion_of_rig
 from .view_fit import MAX_INLIER_CHI_SQUARE, solver_result
-from .view_rejection import is_plausible
 
 _Option = TypeVar("_Option")
 

@@ -15,8 +15,8 @@ from ..dataset import MINIMUM_RELIABLE_VIEWS, Rig
 from ..engine import BlockArrow, BuiltRig, RigProblem, Step, solve
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled
+from .consistent_views import FALSE_ALARM_PROBABILITY
 from .influence import pose_outlier_test
-from .view_rejection import FALSE_ALARM_PROBABILITY
 
 
 class Contradiction(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
 
-from ..calibration import Calibration, host_mount_from_holder
+from ..calibration import Calibration
 from ..dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
 from ..geometry import host_logarithms, host_matrices, host_transforms
 from ..robot_errors import RobotPrior
@@ -255,7 +255,7 @@ def scaled_pairs(
         axis: of the tracker's noise in depth.
         scale: whether the unit is unknown.
     """
-    robot = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
+    robot = host_matrices(data.mount_from_holder)
     pairs = linear_pairs(data, camera_from_mount, robot, holder_from_world, axis)
     if not scale:
         return pairs

@@ -14,13 +14,8 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from ..calibration import Calibration, host_mount_from_holder
-from ..dataset import (
-    Dataset,
-    given_places,
-    require_motion,
-    turns_about_one_point,
-)
+from ..calibration import Calibration
+from ..dataset import Dataset, given_places, require_motion, turns_about_one_point
 from ..engine import TARGET_SCALE, Direction, ParameterChoice, describe_direction, step_names
 from ..geometry import host_adjoints, host_matrices
 from .joint_fit import JointFit
@@ -69,7 +64,7 @@ def undetermined_motion(
     mount_path, holder_path = start.transform_names
     mount = MovablePose(step_names(mount_path), host_matrices(start.camera_from_mount))
     holder = MovablePose(step_names(holder_path), host_matrices(start.holder_from_world))
-    robot = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
+    robot = host_matrices(data.mount_from_holder)
     robot = robot[data.usable_views()]
     if len(robot) < 2 or not np.isfinite(robot).all():
         return UndeterminedMotion((*mount.names, *holder.names), np.zeros((0, 12)), ())

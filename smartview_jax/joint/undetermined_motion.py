@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..dataset import undetermined_motions
+from ..dataset import is_selected, undetermined_motions
 from ..engine import ParameterChoice
 
 DETERMINED_PART = 1e-6
@@ -128,11 +128,6 @@ def find_undetermined_motion(
     first, others = (of_poses, of_mounts) if held_first == "poses" else (of_mounts, of_poses)
     held = _pivots(directions, first or others) or _pivots(directions, [*first, *others])
     return UndeterminedMotion(names, directions, tuple(names[k] for k in held))
-
-
-def is_selected(name: str, paths: Collection[str]) -> bool:
-    """Return whether any path selects a parameter."""
-    return any(name == path or name.startswith(f"{path}.") for path in paths)
 
 
 def _effects(sight: Sight, poses: Sequence[str]) -> Float[np.ndarray, "views 6 motions"]:

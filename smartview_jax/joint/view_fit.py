@@ -199,9 +199,9 @@ def _embedded(
         return calibration, estimate.noise, None, ()
     error = calibration.robot_error
     embedded = RobotError.zero(field) if error is None else error.converted_to(field)
-    names = () if estimate.field is None else tuple(name for name, _ in estimate.field.groups)
+    names = () if estimate.field is None else estimate.field.group_names
     sigmas = dict(zip(names, estimate.noise.field, strict=True))
-    groups = [name for name, _ in field.groups]
+    groups = field.group_names
     return (
         with_fields(calibration, robot_error=embedded),
         # The standard deviation of a held group has no effect.

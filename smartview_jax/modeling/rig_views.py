@@ -216,7 +216,7 @@ class RigViews:
         return indices
 
     def _are_one_state(self, indices: Int[np.ndarray, "views"], state: int, view: int) -> bool:
-        """Return whether a view may be of the state of some views before it."""
+        """Return whether a view can be of the same state of the robot as earlier views."""
         earlier = np.flatnonzero(indices[:view] == state)
         if self.states is not None:
             return self.states[view] == self.states[earlier[0]]

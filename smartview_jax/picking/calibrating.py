@@ -15,7 +15,7 @@ from ..robots import Command, SerialArm, joints_for_pose
 from ..runtime.array_namespace import to_device
 from ..simulation import Cell
 from ..staged import fit_staged
-from ..targets import AbstractTarget, CircleGrid, StackedTarget
+from ..targets import AbstractTarget, CircleGrid
 
 MIN_VIEWS = 6
 """Smallest number of views in which the board has to be found."""
@@ -91,7 +91,7 @@ def calibrate_cell(
             f"max_tilt: expected 0 to below {0.5 * np.pi:.3f} rad, found {views.max_tilt}"
         )
     say = progress or (lambda _: None)
-    flat = board.board if isinstance(board, StackedTarget) else board
+    flat = board.flat_board
     pictures, detections, commands = [], [], []
     for k, pose in enumerate(_planned_views(board, views)):
         # Counted as planned, whether or not the board is found in it.

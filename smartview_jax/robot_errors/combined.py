@@ -25,10 +25,7 @@ class CombinedField(AbstractPreparedField):
     second: AbstractField
 
     def __check_init__(self) -> None:
-        shared_names = {name for name, _ in self.first.groups} & {
-            name for name, _ in self.second.groups
-        }
-        if shared_names:
+        if shared_names := set(self.first.group_names) & set(self.second.group_names):
             raise ValueError(
                 "second: expected groups of other names than the first's, found "
                 f"{sorted(shared_names)}"

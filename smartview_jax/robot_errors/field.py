@@ -38,6 +38,11 @@ class AbstractField(eqx.Module):
     def groups(self) -> tuple[tuple[str, int], ...]:
         """The name and size of each group of coefficients, in order; a group has one variance."""
 
+    @property
+    def group_names(self) -> tuple[str, ...]:
+        """The names of the groups of coefficients, in order."""
+        return tuple(name for name, _ in self.groups)
+
     @abc.abstractmethod
     def actual_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
         """Return the actual `base_from_tool`, `(*views)`."""

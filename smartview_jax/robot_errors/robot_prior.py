@@ -216,7 +216,7 @@ class RobotPrior:
     def medians(self, field: AbstractField | None) -> Float[np.ndarray, "kinds"]:
         """Return the median standard deviations of translation, rotation and each field group."""
         reference_length = 1.0 if field is None else field.reference_length
-        groups = () if field is None else field.groups
+        names = () if field is None else field.group_names
         # A coefficient of a position-dependent group is the error at the field's reference length,
         # hence median per metre times reference length.
         group_medians = [
@@ -224,7 +224,7 @@ class RobotPrior:
             if name == COMMON_ERROR
             else self.group_medians.get(name, self.other_group_median)
             * reference_length ** _length_power(name)
-            for name, _ in groups
+            for name in names
         ]
         return np.array([self.translation_median, self.rotation_median, *group_medians])
 

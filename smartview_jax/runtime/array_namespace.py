@@ -51,6 +51,11 @@ def to_device_together(arrays: Any) -> Any:
     return jax.device_put(jax.tree.map(np.asarray, arrays))
 
 
+def stacked_on_device(trees: Sequence[Any]) -> Any:
+    """Return pytrees of arrays as one, with JAX arrays that have the trees as their first axis."""
+    return jax.tree.map(lambda *x: to_device(np.stack([np.asarray(y) for y in x])), *trees)
+
+
 def where_tree(condition: Bool[Array, ""], if_true: Any, if_false: Any) -> Any:
     """Return the first of two pytrees where a scalar condition holds, else the second."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), if_true, if_false)

@@ -4,6 +4,7 @@
 tree apart. That takes 0.1 to 1 ms, and a small calibration changes a field a hundred times.
 """
 
+import dataclasses
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -29,6 +30,11 @@ def with_fields(module: _Module, **changes: Any) -> _Module:
     if unknown := changes.keys() - fields.keys():
         raise TypeError(f"{type(module).__name__} has no field {', '.join(sorted(unknown))}")
     return module_of(type(module), fields | changes)
+
+
+def fields_of(value: Any, base: type) -> dict[str, Any]:
+    """Return those fields of a dataclass's instance that a base of its class has, by name."""
+    return {field.name: getattr(value, field.name) for field in dataclasses.fields(base)}
 
 
 class HostModule(eqx.Module):

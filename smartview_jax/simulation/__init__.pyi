@@ -15,6 +15,7 @@ from .cell.truth import CellTruth as CellTruth
 from .cell.truth import drawn_calibration as drawn_calibration
 from .cell.truth import random_truth as random_truth
 from .depth_points import simulate_depth_points as simulate_depth_points
+from .depth_points import simulate_depths as simulate_depths
 from .object_example import ObjectExample as ObjectExample
 from .object_example import example_solid as example_solid
 from .object_example import object_example as object_example

@@ -11,9 +11,8 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxlie import SE3, SO3
+from jaxlie import SE3
 from jaxtyping import Array, Float
 
 from ..calibration import Calibration
@@ -24,7 +23,7 @@ from ..robot_errors import DHErrors, RobotError
 from ..robots import SerialArm, six_axes, solve_joints_iteratively
 from ..runtime.array_namespace import to_device
 from ..runtime.padding import over_padded_views
-from .scenes import random_viewpoints, simulate
+from .scenes import calibration_of, random_viewpoints, simulate
 
 KINEMATIC_ERROR_SIGMA = {
     "joint_offset": float(np.deg2rad(0.05)),
@@ -61,6 +60,11 @@ class ArmNoise(NamedTuple):
     pixel_noise: float = 0.05
     translation_noise: float = 2e-5
     rotation_noise: float = float(np.deg2rad(0.003))
+
+    @property
+    def pose_sigmas(self) -> Float[np.ndarray, "6"]:
+        """The standard deviations of a pose's error: translation, then rotation."""
+        return np.repeat([self.translation_noise, self.rotation_noise], 3)
 
 
 class ArmScene(eqx.Module):
@@ -132,8 +136,8 @@ def six_axis_scene(
 
     # Random noise applies to the views of the data only: held-out views test the repeatable part.
     #     actual_poses = error.actual_pose(command) exp(noise)^-1
-    noise_sigma = np.repeat([sizes.translation_noise, sizes.rotation_noise], 3)
-    noise_by_view = np.where(np.arange(views + held_out_views)[:, None] < views, noise_sigma, 0.0)
+    with_noise = np.arange(views + held_out_views)[:, None] < views
+    noise_by_view = np.where(with_noise, sizes.pose_sigmas, 0.0)
     twists = host_exponentials(-noise_by_view * rng.standard_normal(noise_by_view.shape))
     command = arm.command(joints)
     actual_poses = as_se3(host_matrices(error.actual_pose(command)) @ twists)
@@ -185,13 +189,7 @@ def true_calibration() -> Calibration:
     """
     lens = OpenCV5(-0.126, 0.0695, 1e-4, 3e-4, -0.03)
     camera = Camera(1056.0, 1056.0, 958.0, 587.0, lens, image_size=(1920, 1200))
-    camera_from_tool = SE3.from_rotation_and_translation(
-        SO3.from_rpy_radians(0.03, -0.05, 0.1), jnp.array([-0.02, 0.06, -0.09])
-    )
-    base_from_world = SE3.from_rotation_and_translation(
-        SO3.from_rpy_radians(0.01, -0.02, 0.15), jnp.array([0.55, -0.12, 0.05])
-    )
-    return Calibration.eye_in_hand(camera, camera_from_tool, base_from_world)
+    return calibration_of(camera, 0.55)
 
 
 def random_kinematic_errors(

@@ -1,9 +1,10 @@
-"""Simulate a depth sensor: the points of a target as it measures them, with bias and noise."""
+"""Simulate a depth sensor: points of a target, or depths at them, with bias and noise."""
 
 import numpy as np
 from jaxtyping import Float
 
-from ..dataset import DepthSensor
+from ..calibration import DepthBias
+from ..dataset import DepthNoise, DepthSensor
 from ..geometry import host_transformed
 
 WRONG_POINT_SIGMA = 0.02
@@ -50,3 +51,38 @@ def simulate_depth_points(
     points = points + noise
     points[rng.random(points.shape[:2]) < missing] = np.nan
     return points
+
+
+def simulate_depths(
+    camera_from_world: Float[np.ndarray, "views 4 4"],
+    target_points: Float[np.ndarray, "*views points 3"],
+    bias: DepthBias,
+    noise: DepthNoise,
+    rng: np.random.Generator,
+    missing: float = 0.1,
+) -> Float[np.ndarray, "views points"]:
+    """Return the depths that a camera measures at the points of a target, m; NaN where missing.
+
+    Args:
+        camera_from_world: poses of the target in the camera's frame.
+        target_points: points of the target in its own frame, of all views or of each, m.
+        bias: true bias of the depths.
+        noise: their true noise; its common part is one error for all depths of a view.
+        rng: source of the noise.
+        missing: share of the points without a depth.
+
+    For example:
+
+        >>> from smartview_jax.calibration import DepthBias
+        >>> from smartview_jax.dataset import DepthNoise
+        >>> far, middle = np.eye(4)[None], np.zeros((1, 3))
+        >>> far[0, 2, 3] = 0.5
+        >>> bias, exact = DepthBias(1.02), DepthNoise(1e-9)
+        >>> rng = np.random.default_rng(0)
+        >>> sv.simulation.simulate_depths(far, middle, bias, exact, rng, 0.0).round(4).tolist()
+        [[0.4902]]
+    """
+    exact = host_transformed(camera_from_world, np.asarray(target_points))[..., 2]
+    depths = np.array(bias.measured(exact)) + noise.std(exact) * rng.normal(size=exact.shape)
+    depths[rng.random(exact.shape) < missing] = np.nan
+    return depths + (noise.common or 0.0) * rng.normal(size=(len(depths), 1))

@@ -151,7 +151,7 @@ def write_pictures(
         options: passed on to `render`, other than its height and seed.
     """
     folder, poses = Path(folder), as_se3(base_from_tool)
-    height_count = len(target.heights) if isinstance(target, StackedTarget) else 1
+    height_count = target.height_count
     views = [str(k) for k in range(len(poses.wxyz_xyz))]
     pattern = ("images/{view}_{height}" if height_count > 1 else "images/{view}") + suffix
     for k, view in enumerate(views):

@@ -71,14 +71,13 @@ def six_axis_rig_scene(
     arm, board = six_axes(), board_points()
     error = random_kinematic_errors(arm, rng, error_scale, KINEMATIC_ERROR_SIGMA, outer_links)
     truths = {f"camera{k + 1}": _true_camera(k, cameras, rng) for k in range(cameras)}
-    noise_sigma = np.repeat([sizes.translation_noise, sizes.rotation_noise], 3)
     data, reported, actual = {}, None, None
     for number, (name, truth) in enumerate(truths.items()):
         if not together or reported is None:
             # The nominal arm is sent to the wanted views; the real arm misses them by its errors.
             poses = random_viewpoints(rng, states, board.mean(axis=0), DISTANCE_RANGE, MAX_TILT)
             reported = arm.command(joints_near_home(arm, truth.command_for(poses)))
-            twists = host_exponentials(-noise_sigma * rng.standard_normal((states, 6)))
+            twists = host_exponentials(-sizes.pose_sigmas * rng.standard_normal((states, 6)))
             actual = as_se3(host_matrices(error.actual_pose(reported)) @ twists)
         assert actual is not None
         seen = simulate(truth, actual, board, 1000 * seed + number, sizes.pixel_noise).data

@@ -145,11 +145,21 @@ def random_viewpoints(
 def paper_calibration() -> Calibration:
     """Return a true calibration like the paper's: 1/3 inch CCD, 16 mm lens, radial distortion."""
     camera = Camera(2133.0, 2133.0, 322.0, 238.0, Radial(0.3), image_size=(640, 480))
+    return calibration_of(camera, 0.45)
+
+
+def calibration_of(camera: Camera, reach: float) -> Calibration:
+    """Return a true calibration of a camera on a hand whose target lies before the robot.
+
+    Args:
+        camera: its intrinsics and lens.
+        reach: x of the target in the robot's base, m.
+    """
     camera_from_tool = SE3.from_rotation_and_translation(
         SO3.from_rpy_radians(0.03, -0.05, 0.1), jnp.array([-0.02, 0.06, -0.09])
     )
     base_from_world = SE3.from_rotation_and_translation(
-        SO3.from_rpy_radians(0.01, -0.02, 0.15), jnp.array([0.45, -0.12, 0.05])
+        SO3.from_rpy_radians(0.01, -0.02, 0.15), jnp.array([reach, -0.12, 0.05])
     )
     return Calibration.eye_in_hand(camera, camera_from_tool, base_from_world)
 

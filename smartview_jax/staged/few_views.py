@@ -12,7 +12,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..calibration import Calibration, host_mount_from_holder
+from ..calibration import Calibration
 from ..cameras import Camera
 from ..data_checks import mask_unusable_views, minimum_points, unusable_views
 from ..dataset import Dataset, require_picture_size
@@ -66,7 +66,7 @@ def start_by_target(data: Dataset, camera: Camera, holder_from_world: PoseLike) 
     inliers = visible & (np.asarray(has_pose) | unchecked[:, None])
     observations = eqx.tree_at(lambda o: o.visible, observations, to_device(inliers))
     views = np.flatnonzero(used)
-    robot = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))[views]
+    robot = host_matrices(data.mount_from_holder)[views]
     world = host_matrices(as_se3(holder_from_world))
     sigma = _pixel_noise(np.asarray(rms), inliers, used)
     candidates, hand_eye, warning = hand_eye_at_target(

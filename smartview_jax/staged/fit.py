@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxlie import SE3
 
-from ..calibration import Calibration, host_mount_from_holder
+from ..calibration import Calibration
 from ..cameras import AbstractLens, Camera
 from ..data_checks import (
     MINIMUM_POINTS,
@@ -107,7 +107,7 @@ def fit_staged(
         steps.say(f"view {view_id}: its points determine its pose poorly; Step 3 does without it")
     common_fit = views.pictures.common
     step3 = solve_hand_eye(
-        host_mount_from_holder(data.mount, data.base_from_tool),
+        data.mount_from_holder,
         common_fit.camera_from_world,
         np.asarray(consistency.consistent, dtype=float),
         rough_translation,
@@ -128,7 +128,7 @@ def _views_of_step3(data: Dataset, views: PairedViews, checks: MotionChecks) -> 
     pictures, common_fit = views.pictures, views.pictures.common
     agreeing = pictures.used & ~np.isin(np.arange(data.view_count), list(views.mispaired))
     return find_consistent_views(
-        host_mount_from_holder(data.mount, data.base_from_tool),
+        data.mount_from_holder,
         common_fit.camera_from_world,
         agreeing.astype(float),
         lambda camera_from_mount, holder_from_world: median_reprojection_errors(

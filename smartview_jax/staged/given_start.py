@@ -6,13 +6,7 @@ from collections.abc import Collection, Mapping
 import numpy as np
 from jaxlie import SE3
 
-from ..calibration import (
-    BASES,
-    Calibration,
-    chain_transform_names,
-    host_mount_from_holder,
-    transform_names,
-)
+from ..calibration import BASES, Calibration, chain_transform_names, transform_names
 from ..cameras import Camera
 from ..dataset import Dataset, require_same_set_up
 from ..geometry import PoseLike, as_se3, host_matrices, host_transforms
@@ -57,7 +51,7 @@ def merged_start(
     # One view is enough: both transforms of the staged fit agree with all views alike.
     view = int(data.usable_views()[0])
     # camera_from_world = camera_from_mount @ mount_from_holder @ holder_from_world, of that view
-    reported = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))[view]
+    reported = host_matrices(data.mount_from_holder)[view]
     seen = (
         host_matrices(fitted.camera_from_mount) @ reported @ host_matrices(fitted.holder_from_world)
     )

@@ -136,57 +136,32 @@ def kalman_filter(
     options = options or CommonCameraOptions()
     view_count, point_count = observations.visible.shape
     observations, inliers = _padded(observations, start_inliers)
-    visible = np.asarray(observations.visible)
-    start_camera_from_world = repeat_last(start_camera_from_world, len(visible))
-    point = _LinearisationPoint.at(observations, start_camera, start_camera_from_world)
-    gating, gated_limits = False, None
-    variance_scale, message = 1.0, "the passes did not settle"
-    converged, passes, gated_passes = False, 0, 0
-    accepted = None
+    poses = repeat_last(start_camera_from_world, len(inliers))
+    state = _State(_LinearisationPoint.at(observations, start_camera, poses), inliers)
+    converged, message = False, "the passes did not settle"
+    passes, gated_passes = 0, 0
     for passes in range(1, _MAX_PASSES + 1):
-        gated_passes += gating
+        gated_passes += state.gating
         if gated_passes > _MAX_GATED_PASSES:
             message = "the outliers kept changing"
             break
-        sigma = robust_sigma(point.residuals, inliers, options.pixel_sigma)
-        limits = outlier_limits(point.residuals, inliers, sigma, options, gated_limits)
-        gated_limits = limits if gating else None
-        gate = limits if gating else np.full(len(visible), np.inf)
-        settings = PassSettings(sigma, gate / sigma**2, variance_scale, options.hold_camera)
-        trial = run_pass(observations, *point, inliers, settings)
+        trial = state.pass_over(observations, options)
         if progress is not None:
             progress(
-                f"pass {passes}: sigma {sigma:.3f} px, changed by {trial.max_change:.2g} sigma"
+                f"pass {passes}: sigma {trial.sigma:.3f} px, changed by "
+                f"{trial.result.max_change:.2g} sigma"
             )
-        trial_point = _LinearisationPoint.at(observations, trial.camera, trial.camera_from_world)
-        before, after = (
-            _mean_squared_residual(p.residuals, visible if gating else inliers, gate[:, None])
-            for p in (point, trial_point)
-        )
-        # Rounding, and a step of a thousandth of a standard deviation, may raise the cost so much.
-        allowed = (_MAX_RELATIVE_COST_INCREASE if gating else 0.0) * before + 1e-6 * sigma**2
-        if not (np.isfinite(trial.max_change) and after <= before + allowed):
-            # The step left the range of the linearisation: start narrower, that is, damp more.
-            variance_scale = 0.1 * variance_scale
-            if variance_scale < _MIN_VARIANCE_SCALE:
+        if not trial.lowers_cost:
+            state = state.damped(trial)
+            if state.variance_scale < _MIN_VARIANCE_SCALE:
                 message = "the passes kept raising the cost"
                 break
             continue
-        point, accepted = trial_point, trial
-        # Points with large residuals after this pass are rejected in the next; points that fit
-        # again are readmitted.
-        within_gate = visible & (np.sum(point.residuals**2, axis=-1) <= limits[:, None])
-        new_inliers = within_gate if gating else inliers
-        inliers_unchanged = np.array_equal(new_inliers, inliers)
-        inliers = new_inliers
-        # A damped pass makes a short step anywhere, and its covariance is too small: only an
-        # undamped pass may switch the gate on or end the iteration.
-        undamped = variance_scale == 1.0
-        gating = gating or (undamped and trial.max_change < _GATING_CHANGE_THRESHOLD)
-        if trial.max_change < 1e-3 and inliers_unchanged and gating and undamped:
+        before, state = state, state.after(trial, np.asarray(observations.visible))
+        if before.is_settled(trial, state):
             converged, message = True, f"converged after {passes} passes"
             break
-        variance_scale = min(1.0, 10.0 * variance_scale)
+    point, inliers = state.point, state.inliers
     rms = float(np.sqrt(_mean_squared_residual(point.residuals, inliers, np.inf)))
     if not np.isfinite(rms):
         converged, message = False, "the filter diverged: its state is not finite"
@@ -199,7 +174,7 @@ def kalman_filter(
         passes,
         converged,
         message,
-        accepted,
+        state.accepted,
     )
 
 
@@ -217,6 +192,109 @@ class _LinearisationPoint(NamedTuple):
         """Compute the residuals of a state."""
         residuals = np.asarray(pixel_residuals(observations, camera, camera_from_world))
         return cls(camera, camera_from_world, residuals)
+
+
+class _Trial(NamedTuple):
+    """A pass, which is accepted if it lowers the cost.
+
+    Attributes:
+        result: the pass.
+        point: the state after it.
+        sigma: standard deviation of the pixels that it assumed, px.
+        limits: largest squared residual of a good measurement in each view, px^2.
+        lowers_cost: whether the residuals are not larger after it.
+    """
+
+    result: PassResult
+    point: _LinearisationPoint
+    sigma: float
+    limits: Float[np.ndarray, "views"]
+    lowers_cost: bool
+
+
+class _State(NamedTuple):
+    """The state between two passes of the filter.
+
+    Attributes:
+        point: the linearisation point.
+        inliers: the observations that are used.
+        gating: whether outliers are rejected, as soon as the state has settled.
+        gated_limits: the limits of the last pass; None if it rejected none.
+        variance_scale: factor of the initial covariance: below one the pass is damped.
+        accepted: the last pass that lowered the cost; None before.
+    """
+
+    point: _LinearisationPoint
+    inliers: Bool[np.ndarray, "views points"]
+    gating: bool = False
+    gated_limits: Float[np.ndarray, "views"] | None = None
+    variance_scale: float = 1.0
+    accepted: PassResult | None = None
+
+    def pass_over(self, observations: Observations, options: CommonCameraOptions) -> _Trial:
+        """Run a pass over all observations."""
+        residuals, inliers = self.point.residuals, self.inliers
+        sigma = robust_sigma(residuals, inliers, options.pixel_sigma)
+        limits = outlier_limits(residuals, inliers, sigma, options, self.gated_limits)
+        gate = limits if self.gating else np.full(len(inliers), np.inf)
+        settings = PassSettings(sigma, gate / sigma**2, self.variance_scale, options.hold_camera)
+        result = run_pass(observations, *self.point, inliers, settings)
+        point = _LinearisationPoint.at(observations, result.camera, result.camera_from_world)
+        counted = np.asarray(observations.visible) if self.gating else inliers
+        before, after = (
+            _mean_squared_residual(each.residuals, counted, gate[:, None])
+            for each in (self.point, point)
+        )
+        # Rounding, and a step of a thousandth of a standard deviation, may raise the cost so much.
+        allowed = (_MAX_RELATIVE_COST_INCREASE if self.gating else 0.0) * before + 1e-6 * sigma**2
+        lowers_cost = bool(np.isfinite(result.max_change) and after <= before + allowed)
+        return _Trial(result, point, sigma, limits, lowers_cost)
+
+    def damped(self, trial: _Trial) -> "_State":
+        """Return the state for another pass from the same point, after one that raised the cost.
+
+        The step left the range of the linearisation: the next one starts narrower.
+        """
+        return self._replace(
+            gated_limits=trial.limits if self.gating else None,
+            variance_scale=0.1 * self.variance_scale,
+        )
+
+    def after(self, trial: _Trial, visible: Bool[np.ndarray, "views points"]) -> "_State":
+        """Return the state after a pass that is accepted.
+
+        Points with large residuals are rejected in the next pass; points that fit again are
+        readmitted.
+        """
+        squares = np.sum(trial.point.residuals**2, axis=-1)
+        within_gate = visible & (squares <= trial.limits[:, None])
+        is_small = trial.result.max_change < _GATING_CHANGE_THRESHOLD
+        return _State(
+            trial.point,
+            within_gate if self.gating else self.inliers,
+            self.gating or (self._is_undamped and is_small),
+            trial.limits if self.gating else None,
+            min(1.0, 10.0 * self.variance_scale),
+            trial.result,
+        )
+
+    def is_settled(self, trial: _Trial, after: "_State") -> bool:
+        """Return whether a pass from this state to the state after it changed next to nothing."""
+        return bool(
+            trial.result.max_change < 1e-3
+            and np.array_equal(after.inliers, self.inliers)
+            and after.gating
+            and self._is_undamped
+        )
+
+    @property
+    def _is_undamped(self) -> bool:
+        """Whether a pass is not damped.
+
+        A damped one makes a short step anywhere, and its covariance is too small: only an undamped
+        one may switch the gate on or end the iteration.
+        """
+        return self.variance_scale == 1.0
 
 
 def _padded(

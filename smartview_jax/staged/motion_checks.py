@@ -10,7 +10,6 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
 
-from ..calibration import host_mount_from_holder
 from ..data_checks import (
     CameraDoubt,
     ConventionReport,
@@ -82,7 +81,7 @@ def pair_views(
         pictures: Steps 1 and 2.
         known: the transforms of the start, as far as they are known.
     """
-    robot = host_mount_from_holder(data.mount, data.base_from_tool)
+    robot = data.mount_from_holder
     groups = contradictory_views(data.mask_views(list(pictures.unusable)))
     repeated = stale_views(groups, robot, pictures.common.camera_from_world, pictures.used)
     stale = {view: repeated_pose_reason(data, view, other) for view, other in repeated.items()}

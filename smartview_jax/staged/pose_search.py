@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..dataset import undetermined_twists
+from ..dataset import evenly_spaced, undetermined_twists
 from ..geometry import (
     host_adjoints,
     host_exponentials,
@@ -145,8 +145,7 @@ def _is_plain(candidates: Float[np.ndarray, "2 views 4 4"]) -> bool:
 
 def spaced_views(views: Int[np.ndarray, "views"]) -> Int[np.ndarray, "some"]:
     """Return at most `MAX_SCORED_VIEWS` of the views, at equal distances."""
-    places = np.linspace(0, len(views) - 1, MAX_SCORED_VIEWS).round().astype(int)
-    return views[np.unique(places)]
+    return views[evenly_spaced(len(views), MAX_SCORED_VIEWS)]
 
 
 def _minimum_norm_guesses(

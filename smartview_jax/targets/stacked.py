@@ -46,6 +46,16 @@ class StackedTarget(AbstractTarget):
         return np.concatenate([flat + np.array([0.0, 0.0, z]) for z in self.heights])
 
     @property
+    def flat_board(self) -> AbstractTarget:
+        """The board."""
+        return self.board
+
+    @property
+    def height_count(self) -> int:
+        """The number of heights."""
+        return len(self.heights)
+
+    @property
     def symmetries(self) -> Int[np.ndarray, "symmetries points"]:
         """The orders of the board that look the same, applied at all heights alike."""
         # Point p of the board has the index p + k count at height k.

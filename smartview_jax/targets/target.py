@@ -30,6 +30,16 @@ class AbstractTarget(abc.ABC):
         """The points that a detector finds, in the target's frame, m."""
 
     @property
+    def flat_board(self) -> "AbstractTarget":
+        """The target itself; the board, for a board at several heights."""
+        return self
+
+    @property
+    def height_count(self) -> int:
+        """The number of heights at which the target is seen: one, unless it is stacked."""
+        return 1
+
+    @property
     def symmetries(self) -> Int[np.ndarray, "symmetries points"]:
         """The orders of the points that look the same in a picture, the original order first.
 

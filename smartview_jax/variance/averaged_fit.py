@@ -27,11 +27,7 @@ from .fisher_scoring import LikelihoodMaximum, StandardDeviationPrior
 from .kenward_roger import SmallSampleCorrection, small_sample_correction
 from .likelihood import marginalise, posterior_mode_step
 from .linearised_views import LinearisedViews, kinds_of
-from .model_average import (
-    averaged_models,
-    between_directions_covariance,
-    between_models_covariance,
-)
+from .model_average import averaged_models, between_directions_covariance, between_models_covariance
 from .model_comparison import ModelComparison, noise_from_sigmas
 from .model_selection import (
     Candidate,
@@ -190,7 +186,7 @@ def _held_names(
     first: ModelComparison, fitted_field: AbstractField | None, unused_sizes: set[str]
 ) -> set[str]:
     """Return the parameters of the comparison's problem that the fitted model does not have."""
-    groups = () if fitted_field is None else tuple(name for name, _ in fitted_field.groups)
+    groups = () if fitted_field is None else fitted_field.group_names
     return {
         name
         for name in first.built.shared_names
@@ -306,7 +302,7 @@ def averaged_noise(
     """
     noise = noise_from_sigmas(average.maximum.sigmas, views.white_sigma)
     fitted = dict(zip(views.group_names, noise.field, strict=True))
-    names = () if field is None else tuple(name for name, _ in field.groups)
+    names = () if field is None else field.group_names
     values = (
         fitted.get(name, float(median))
         for name, median in zip(names, prior.medians(field)[2:], strict=True)

@@ -52,9 +52,8 @@ def with_weighed_depths(
         return data
     usable = data.usable_views()
     basis = encompassing_field(data, len(usable)) if field == "auto" else field
-    groups = () if basis is None else basis.groups
     # Without priors of the poses depths have no weight yet (see `build_problem`).
-    free = Noise(1.0, np.inf, np.inf, field=(1.0,) * len(groups))
+    free = Noise(1.0, np.inf, np.inf).with_unit_groups(basis)
     choice = choice_for_free_poses(choice.holding(DEPTH_BIAS), start, len(usable))
     built = build_problem(data, start, noise=free, field=basis, **choice._asdict())
     fit = fit_free_poses(built, usable, flat_shape(*map(np.asarray, (data.points, data.visible))))

@@ -116,7 +116,7 @@ class RequestedModels(NamedTuple):
     @property
     def unit_noise(self) -> Noise:
         """Noise with standard deviations of one, whose values are set later."""
-        return Noise(1.0, 1.0, 1.0, field=(1.0,) * (len(self.basis.groups) if self.basis else 0))
+        return Noise(1.0, 1.0, 1.0).with_unit_groups(self.basis)
 
 
 def tested_sizes(

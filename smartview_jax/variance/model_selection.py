@@ -190,16 +190,18 @@ def _models_of_any_robot(
     # The models describe how a robot deviates from its type.
     basis = basis.whole
     if requested != "auto":
-        return white | {field_name(basis): Candidate(_group_names(basis), 0.0)}
+        return white | {field_name(basis): Candidate(frozenset(basis.group_names), 0.0)}
     linear, arm = _split_basis(basis)
     odds = (SMALLEST_FIELD_ODDS, LARGER_FIELD_ODDS)
     nested = linear.nested_fields
     models = {
-        field_name(part): Candidate(_group_names(part), float(np.log(odds[min(k, 1)])))
+        field_name(part): Candidate(frozenset(part.group_names), float(np.log(odds[min(k, 1)])))
         for k, part in enumerate(nested)
     }
     if arm is not None:
-        models[field_name(arm)] = Candidate(_group_names(arm), float(np.log(GENERIC_ARM_ODDS)))
+        models[field_name(arm)] = Candidate(
+            frozenset(arm.group_names), float(np.log(GENERIC_ARM_ODDS))
+        )
     return white | models
 
 
@@ -351,13 +353,13 @@ def smallest_sufficient_field(
     if basis is None or not (groups or basis.is_about_type):
         return None
     linear, arm = _split_basis(basis)
-    if arm is None or not groups & _group_names(arm):
-        return next(part for part in linear.nested_fields if groups <= _group_names(part))
-    linear_groups = groups - _group_names(arm)
+    if arm is None or groups.isdisjoint(arm.group_names):
+        return next(part for part in linear.nested_fields if groups.issubset(part.group_names))
+    linear_groups = groups.difference(arm.group_names)
     if not linear_groups:
         return arm
     return CombinedField(
-        next(part for part in linear.nested_fields if linear_groups <= _group_names(part)), arm
+        next(part for part in linear.nested_fields if linear_groups.issubset(part.group_names)), arm
     )
 
 
@@ -378,7 +380,7 @@ def standard_deviation_prior(
         has_white_noise: whether the effective pixel sigma is hardly larger than the white one;
             otherwise nothing is known of it.
     """
-    field_names = [] if field is None else [name for name, _ in field.groups]
+    field_names = () if field is None else field.group_names
     indices = [0, 1, *(2 + field_names.index(name) for name in group_names if name in field_names)]
     median, log_std = prior.medians(field)[indices], np.asarray(prior.log_stds(field))[indices]
     if shape is not None:
@@ -411,8 +413,3 @@ def _split_basis(basis: AbstractField) -> tuple[AbstractField, AbstractField | N
     if isinstance(basis, CombinedField):
         return basis.first, basis.second
     return basis, None
-
-
-def _group_names(field: AbstractField) -> frozenset[str]:
-    """Return the names of a field's groups."""
-    return frozenset(name for name, _ in field.groups)

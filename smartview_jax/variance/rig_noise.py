@@ -188,8 +188,7 @@ def _camera_noise(rig: Rig, name: str, start: Calibration) -> CameraNoise:
     usable = data.usable_views()
     # The field has no effect, but with it the fit shares the program that removed gross errors.
     field = encompassing_field(data, len(usable)) if data.arm is None else None
-    groups = 0 if field is None else len(field.groups)
-    noise = Noise(1.0, 1.0, 1.0, field=(1.0,) * groups)
+    noise = Noise(1.0, 1.0, 1.0).with_unit_groups(field)
     choice = choice_for_free_poses(ParameterChoice.of(), start, len(usable))
     built = build_problem(data, start.uncorrected, noise=noise, field=field, **choice._asdict())
     fit = fit_free_poses(built, usable, None)

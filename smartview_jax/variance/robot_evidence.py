@@ -203,10 +203,10 @@ class RobotEvidence(NamedTuple):
         errors = self.arm_errors
         assert errors is not None
         vague = VAGUE_ERROR_FACTOR * general.medians(errors)[2:]
-        group_names = [name for name, _ in errors.groups]
-        places = [self.group_names.index(name) for name in group_names]
+        names = errors.group_names
+        places = [self.group_names.index(name) for name in names]
         field = np.array(sigmas.field, dtype=float)
-        own = np.where([name in self.groups(model) for name in group_names], field[places], 0.0)
+        own = np.where([name in self.groups(model) for name in names], field[places], 0.0)
         field[places] = vague
         marginal = marginalise(self.views, sigmas._replace(field=field))
         indices = _indices(self.names, errors.names)
@@ -224,7 +224,7 @@ class RobotEvidence(NamedTuple):
         if self.basis is None:
             return np.ones(2)
         # A prior of ones shows the factors by which the field multiplies.
-        names = [name for name, _ in self.basis.groups]
+        names = self.basis.group_names
         ones = RobotPrior(1.0, 1.0, dict.fromkeys(names, 1.0)).medians(self.basis)
         return ones[[0, 1, *(2 + names.index(name) for name in groups)]]
 

@@ -326,9 +326,9 @@ def _group_names(
         shape: shape of the target, whose groups come before the sizes; None if it is held.
     """
     error = built.problem.robot_error
-    groups = () if error is None else error.field.groups
+    groups = () if error is None else error.field.group_names
     free_groups = {name.split(".")[1] for name in built.shared_names if _is_field_name(name)}
-    names = tuple(name for name, _ in groups if name in free_groups)
+    names = tuple(name for name in groups if name in free_groups)
     names = names if shape is None else (*names, *SHAPE_GROUPS)
     return (*names, *sizes)
 

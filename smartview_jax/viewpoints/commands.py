@@ -89,12 +89,12 @@ class ViewpointCommands(eqx.Module):
     def with_arrays(
         self, function: Callable[..., Any], *others: "ViewpointCommands"
     ) -> "ViewpointCommands":
-        """Return commands whose arrays by view are a function of these, or of several commands'.
+        """Return commands whose arrays are computed from the arrays of these and other commands.
 
         Args:
-            function: is given the arrays of each commands as one tree, and returns such a tree. The
-                numbers of the camera are not by view, and stay.
-            others: the further commands.
+            function: takes a pytree for each of the commands, with all their arrays whose first
+                axes are the views, and returns such a pytree. The camera stays.
+            others: the other commands.
         """
         trees = [
             (c.base_from_tool, c.xyzoat, c.joints, c.predicted_views.camera_from_world, c.checks)

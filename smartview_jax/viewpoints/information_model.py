@@ -103,9 +103,8 @@ class InformationModel(eqx.Module):
             sigma = to_device(float(noise))
             problem = eqx.tree_at(lambda p: p.pixel_sigma, problem, sigma)
         # Prior information is the square of the weight on each free parameter.
-        weight = np.asarray(problem.prior_weight.shared)[np.asarray(problem.free)]
         near_joints = None if arm is None or near is None else as_float_array(near)
-        prior = to_device(np.diag(weight**2))
+        prior = to_device(np.diag(problem.host_prior_weight**2))
         model = cls(problem, target, prior, near_joints, built.shared_names)
         if previous_data is None:
             return model

@@ -75,8 +75,7 @@ def model_from_estimate(
     field = calibration.field
     if noise is not None:
         # All knowledge of the robot's smooth error is in the covariance; no other prior applies.
-        groups = () if field is None else field.groups
-        noise = dataclasses.replace(noise, field=(1.0,) * len(groups))
+        noise = noise.with_unit_groups(field)
     estimated = set(estimate.parameter_names)
     model = InformationModel.from_calibration(
         calibration,

@@ -87,9 +87,7 @@ class RigInformationModel:
         )
         built = build(rig)
         # Prior information is the square of the weight on each free parameter.
-        problem = built.problem
-        weight = np.asarray(problem.prior_weight.shared)[np.asarray(problem.free)]
-        prior = to_device(np.diag(weight**2))
+        prior = to_device(np.diag(built.problem.host_prior_weight**2))
         return cls(rig, dict(calibrations), build, prior, built.shared_names)
 
     @classmethod
@@ -130,12 +128,12 @@ class RigInformationModel:
         rig.require_one_arm("RigInformationModel")
         error = next(iter(estimate.calibrations.values())).robot_error
         # All knowledge of the robot's error is in the covariance; no other prior applies.
-        groups = () if error is None else error.field.groups
+        field = None if error is None else error.field
         build = functools.partial(
             build_rig,
             starts=estimate.calibrations,
-            noise=dataclasses.replace(estimate.noise, field=(1.0,) * len(groups)),
-            field=None if error is None else error.field,
+            noise=estimate.noise.with_unit_groups(field),
+            field=field,
             relative_sigmas={
                 name: sigma / estimate.noise.pixel for name, sigma in pixel_sigmas.items()
             },

@@ -126,9 +126,9 @@ def _candidates(
 
 
 def _combined(combine: Callable[..., np.ndarray], *parts: ViewpointCommands) -> ViewpointCommands:
-    """Return commands whose arrays by view are combined from the arrays of several commands.
+    """Return commands whose arrays are combined from the arrays of several commands.
 
-    The camera of the predicted views is the first one; only their poses are of every camera.
+    Their predicted views have the camera of the first part, but the poses of each part's camera.
     """
 
     def on_host(*arrays: Array) -> Array:

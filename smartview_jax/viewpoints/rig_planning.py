@@ -93,7 +93,7 @@ def choose_states(
 
 
 def _largest_visible_fraction(rig: Rig) -> Float[np.ndarray, "states"]:
-    """Return, for each state, the fraction of its target that the camera that sees most sees."""
+    """Return the largest fraction of its target that any camera sees, for each state."""
     fraction = np.zeros(rig.view_count)
     for name, data in rig.cameras.items():
         states = rig.state_index[name]

@@ -123,7 +123,7 @@ def choose_views(
 
     Raises:
         TypeError: views of a wrong type.
-        ValueError: fewer than `count` candidates may be taken (one that is not finite never), a
+        ValueError: fewer than `count` candidates may be taken (never one that is not finite), a
             candidate farther than arms get, or a requirement out of range.
 
     For example:
@@ -171,34 +171,21 @@ def choose_views(
     information = information_model.information(candidates)
     prior = information_model.prior_information
     index = best_candidates(information, prior, criterion, count, admissible, say)
-    # Then the gradient moves the views away from their candidates.
-    poses, selected_information = _rows((candidates, information), index)
+    chosen = _rows((candidates, information), index)
     if refine and isinstance(views, ViewRange) and coordinates is not None:
         say("moving them by the gradient")
-        refined_poses = refine_views(
-            information_model,
-            criterion,
-            views,
-            _rows(coordinates, index),
-            dataclasses.replace(needs, allowed=is_admissible),
+        admissible_needs = dataclasses.replace(needs, allowed=is_admissible)
+        begin = _rows(coordinates, index)
+        refined = refine_views(information_model, criterion, views, begin, admissible_needs)
+        # Moving views back to where they are admissible may undo the improvement.
+        chosen = min(
+            (chosen, (refined, information_model.information(refined))),
+            key=lambda pair: float(_total_criterion(criterion, pair[1], information_model)),
         )
-        refined_information = information_model.information(refined_poses)
-        # Backtracking to admissible views may undo the improvement, so that the refined views are
-        # kept only if their criterion is smaller.
-        if float(_total_criterion(criterion, refined_information, information_model)) < float(
-            _total_criterion(criterion, selected_information, information_model)
-        ):
-            poses, selected_information = refined_poses, refined_information
     say("ordering them, best first")
-    # Sorted by how much each view reduces the criterion, so that the first few are a good choice
-    # too.
-    order = order_by_gain(selected_information, prior, criterion)
-    poses, selected_information = _rows((poses, selected_information), order)
-    return ChosenViews(
-        poses,
-        cumulative_criterion(selected_information, prior, criterion),
-        criterion.unit,
-    )
+    # The first few are then a good choice too.
+    poses, information = _rows(chosen, order_by_gain(chosen[1], prior, criterion))
+    return ChosenViews(poses, cumulative_criterion(information, prior, criterion), criterion.unit)
 
 
 def _farthest(information_model: InformationModel) -> float:

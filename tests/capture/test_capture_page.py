@@ -4,7 +4,7 @@ import threading
 import time
 
 import pytest
-from capture_scene import PATIENCE, Rig, everywhere, new_folder, quick_fit, wait_until
+from capture_scene import PATIENCE, everywhere, new_folder, wait_until
 from chromium import Chromium, browser_or_skip
 
 from smartview_jax.capture import serve_capture
@@ -14,13 +14,6 @@ testclient = pytest.importorskip("starlette.testclient")
 
 TOKEN, PORT = "a-token", 8124
 ORIGIN = f"http://127.0.0.1:{PORT}"
-
-
-@pytest.fixture
-def rig(monkeypatch):
-    rig = Rig()
-    monkeypatch.setattr("smartview_jax.capture.session.estimate", quick_fit(rig))
-    return rig
 
 
 @pytest.fixture

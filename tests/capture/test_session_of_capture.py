@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from capture_scene import PATIENCE, Rig, everywhere, new_folder, quick_fit, wait_until
+from capture_scene import PATIENCE, everywhere, new_folder, quick_fit, wait_until
 from fit_scenes import scene_of
 
 from smartview_jax.capture import (
@@ -26,13 +26,6 @@ from smartview_jax.capture import (
 from smartview_jax.capture.estimation import estimate
 from smartview_jax.geometry import host_matrices
 from smartview_jax.io import load_dataset
-
-
-@pytest.fixture
-def rig(monkeypatch):
-    rig = Rig()
-    monkeypatch.setattr("smartview_jax.capture.session.estimate", quick_fit(rig))
-    return rig
 
 
 def test_views_are_stored_as_they_are_taken_and_fitted(tmp_path, rig):

@@ -4,10 +4,9 @@ import dataclasses
 import re
 from types import SimpleNamespace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from board_scene import BOARD, VIEWS, board_folder, run
+from board_scene import BOARD, board_folder, run, single_tag_folder
 from detected_sample import detected_sample
 from fit_scenes import scene_of
 from text_files import unwrapped
@@ -15,10 +14,8 @@ from text_files import unwrapped
 from smartview_jax import Rig
 from smartview_jax.cli.check import _checked, _report_without_doubted_views
 from smartview_jax.geometry import host_exponentials, host_transforms
-from smartview_jax.io import save_dataset
 from smartview_jax.rig_pipeline import reference_camera, usable_view_counts
 from smartview_jax.robots import HandPoses
-from smartview_jax.simulation import random_scene
 
 
 def test_good_data_can_begin(tmp_path_factory):
@@ -121,13 +118,7 @@ def test_a_target_in_another_unit_is_named_for_it(folder):
 
 
 def test_a_single_tag_can_begin_with_a_known_camera(tmp_path):
-    scene = random_scene(1, VIEWS, BOARD.points)
-    others = np.setdiff1d(np.arange(15), [0, 4, 10, 14])
-    seen = dataclasses.replace(
-        scene.data, pixels=scene.data.pixels.at[:, others].set(jnp.nan), target=BOARD
-    )
-    save_dataset(seen, tmp_path / "tag")
-    scene.calibration.save(tmp_path / "camera.yaml")
+    single_tag_folder(tmp_path)
     assert "4 points seen, 6 needed" in unwrapped(run("check", tmp_path / "tag").output)
     told = run("check", tmp_path / "tag", "--camera", tmp_path / "camera.yaml")
     assert told.exit_code == 0, told.output

@@ -6,7 +6,7 @@ import json
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from board_scene import BOARD, LENS, VIEWS, board_folder, run
+from board_scene import LENS, board_folder, run, single_tag_folder
 from jaxlie import SE3, SO3
 
 from smartview_jax import Calibration, load_dataset
@@ -14,9 +14,8 @@ from smartview_jax.cameras import Fisheye, OpenCV4
 from smartview_jax.cli.fit_options import FitKnowledge, parse_fit_options, parse_rig_start
 from smartview_jax.files import read_yaml
 from smartview_jax.geometry import host_logarithms, host_matrices
-from smartview_jax.io import read_camera, ros_camera_info, save_dataset
+from smartview_jax.io import read_camera, ros_camera_info
 from smartview_jax.joint import load_estimate
-from smartview_jax.simulation import random_scene
 
 
 @pytest.fixture(scope="module")
@@ -49,13 +48,7 @@ def test_a_known_camera_is_held_and_said(folder, tmp_path):
 
 def test_a_single_tag_needs_a_known_camera(tmp_path):
     """Four corners of a tag in every view are a pose, but no camera."""
-    scene = random_scene(1, VIEWS, BOARD.points)
-    others = np.setdiff1d(np.arange(15), [0, 4, 10, 14])
-    seen = dataclasses.replace(
-        scene.data, pixels=scene.data.pixels.at[:, others].set(jnp.nan), target=BOARD
-    )
-    save_dataset(seen, tmp_path / "tag")
-    scene.calibration.save(tmp_path / "camera.yaml")
+    scene = single_tag_folder(tmp_path)
     alone = calibrated(tmp_path / "tag", tmp_path / "out", "--bad-views", "mask")
     assert alone.exit_code == 2
     assert "4 points seen, 6 needed" in alone.stderr

@@ -7,7 +7,12 @@ import pytest
 from scipy.special import chdtri
 from tracked_scene import MOUNT, WORLD, turned
 
-from smartview_jax.clocks.timed_poses import TimedChain, fit_timed_poses, long_run_variance
+from smartview_jax.clocks.timed_poses import (
+    TimedChain,
+    TimedPairs,
+    fit_timed_poses,
+    long_run_variance,
+)
 from smartview_jax.dataset import PoseDataset
 from smartview_jax.geometry import host_exponentials
 from smartview_jax.robots import Trajectory, smoothed_log
@@ -52,7 +57,8 @@ def fitted(log, seed, mount="eye_in_hand", jitter=0.0, wrong=0):
     stamps = times - OFFSET + rng.normal(0.0, jitter, PAIRS)
     data = PoseDataset.from_poses(robot(times, mount), measured, mount)
     start = TimedChain(MOUNT, WORLD, OFFSET + 0.005)
-    return fit_timed_poses(data, log, stamps, start, np.arange(PAIRS) >= wrong, (-0.2, 0.2))
+    pairs = TimedPairs(data, log, stamps)
+    return fit_timed_poses(pairs, start, np.arange(PAIRS) >= wrong, (-0.2, 0.2))
 
 
 def assert_honest(fits):

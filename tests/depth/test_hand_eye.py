@@ -6,6 +6,7 @@ import re
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from host_poses import stated_covariance, transform_errors
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -45,12 +46,8 @@ def scene(seed, farthest=1.5):
 
 def error_and_covariance(fit):
     """Of the hand-eye transform: translation, m, and rotation vector in the camera's axes, rad."""
-    found = host_matrices(fit.calibration.camera_from_tool)
-    turn = Rotation.from_matrix(found[:3, :3] @ CAMERA_FROM_TOOL[:3, :3].T).as_rotvec()
-    error = np.concatenate([found[:3, 3] - CAMERA_FROM_TOOL[:3, 3], turn])
-    names = [f"camera_from_tool.{p}.{a}" for p in ("translation", "rotation") for a in "xyz"]
-    rows = [fit.parameter_names.index(name) for name in names]
-    return error, fit.covariance[np.ix_(rows, rows)]
+    error = transform_errors(fit.calibration.camera_from_tool, CAMERA_FROM_TOOL)
+    return error, stated_covariance(fit, "camera_from_tool")
 
 
 @pytest.fixture(scope="module")

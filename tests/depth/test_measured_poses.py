@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from host_poses import transform_errors
 from scipy.spatial.transform import Rotation
 
 import smartview_jax as sv
@@ -15,6 +16,10 @@ COLUMNS, ROWS, SQUARE = 8, 6, 0.03
 y, x = np.mgrid[:ROWS, :COLUMNS]
 TARGET = np.stack([SQUARE * x, SQUARE * y, 0.0 * x], axis=-1).reshape(-1, 3)
 TARGET -= TARGET.mean(axis=0)
+
+
+TOOL_FROM_CAMERA = host_exponentials(np.array([0.02, -0.05, 0.08, 0.1, -0.1, 1.5]))
+BASE_FROM_WORLD = host_exponentials(np.array([0.6, 0.1, 0.0, 0.0, 0.0, 0.4]))
 
 
 def poses_of(rng, views=12, tilt=0.35, distances=(0.4, 0.8)):
@@ -31,12 +36,6 @@ def measured(rng, poses, scale=1.0, offset=0.0, wrong=0.0):
     """What a sensor with this bias measures, with noise, some points missing, and some wrong."""
     sensor = DepthSensor(scale, offset, 0.0, 0.0, 0.0, ACROSS, ALONG)
     return simulate_depth_points(poses, TARGET, sensor, rng, wrong)
-
-
-def pose_errors(found, truth):
-    """Differences of translations, and rotation vectors between poses, in the camera's axes."""
-    turn = found[:, :3, :3] @ truth[:, :3, :3].swapaxes(1, 2)
-    return np.hstack([found[:, :3, 3] - truth[:, :3, 3], Rotation.from_matrix(turn).as_rotvec()])
 
 
 @pytest.fixture(scope="module", params=[0.0, 0.1], ids=["clean", "wrong"])
@@ -80,7 +79,7 @@ def test_noise_does_not_pull_the_scale_where_views_tell_little():
 def test_poses_err_as_stated_and_less_than_by_closed_form(trials):
     squares, errors, closed = [], [], []
     for truth, points, found in trials:
-        off = pose_errors(found.camera_from_world, truth)
+        off = transform_errors(found.camera_from_world, truth)
         information = np.linalg.inv(found.whole_covariance)
         squares += np.einsum("vi,vij,vj->v", off, information, off).tolist()
         errors += np.linalg.norm(off[:, 3:], axis=1).tolist()
@@ -111,9 +110,7 @@ def test_points_without_noise_leave_a_finite_covariance_and_no_doubt(along):
     camera_from_world = poses_of(rng, 14)
     sensor = DepthSensor(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, along)
     points = simulate_depth_points(camera_from_world, TARGET, sensor, rng, 0.0)
-    tool_from_camera = host_exponentials(np.array([0.02, -0.05, 0.08, 0.1, -0.1, 1.5]))
-    base_from_world = host_exponentials(np.array([0.6, 0.1, 0.0, 0.0, 0.0, 0.4]))
-    base_from_tool = base_from_world @ np.linalg.inv(tool_from_camera @ camera_from_world)
+    base_from_tool = BASE_FROM_WORLD @ np.linalg.inv(TOOL_FROM_CAMERA @ camera_from_world)
     found = sv.depth.poses_from_points(points, TARGET)
     assert np.linalg.cond(found.covariance).max() < 1e12
     fit = sv.fit_poses(found.dataset(base_from_tool))
@@ -148,12 +145,10 @@ def test_what_is_advised_for_other_axes_is_right():
 def test_without_the_bias_the_hand_eye_transform_would_be_wrong():
     rng = np.random.default_rng(0)
     camera_from_world = poses_of(rng, 14)
-    tool_from_camera = host_exponentials(np.array([0.02, -0.05, 0.08, 0.1, -0.1, 1.5]))
-    base_from_world = host_exponentials(np.array([0.6, 0.1, 0.0, 0.0, 0.0, 0.4]))
-    base_from_tool = base_from_world @ np.linalg.inv(tool_from_camera @ camera_from_world)
+    base_from_tool = BASE_FROM_WORLD @ np.linalg.inv(TOOL_FROM_CAMERA @ camera_from_world)
     found = sv.depth.poses_from_points(measured(rng, camera_from_world, 1.02), TARGET)
     fit = sv.fit_poses(found.dataset(base_from_tool))
-    error = np.asarray(fit.calibration.camera_from_tool.as_matrix()) @ tool_from_camera
+    error = np.asarray(fit.calibration.camera_from_tool.as_matrix()) @ TOOL_FROM_CAMERA
     std = np.array([fit.std[f"camera_from_tool.translation.{axis}"] for axis in "xyz"])
     assert np.linalg.norm(error[:3, 3]) < 4.0 * np.linalg.norm(std)
     # 2 % of 0.6 m are 12 mm.

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from depth_scene import BIAS, NOISE, depth_scene
+from depth_scene import NOISE, assert_bias_recovered, depth_scene
 
 import smartview_jax as sv
 from smartview_jax.engine import ParameterChoice
@@ -26,10 +26,7 @@ def fit(scene):
 
 def test_the_bias_is_recovered(fit):
     sensor = fit.sensor
-    off = np.array([sensor.scale - float(BIAS.scale), sensor.offset - float(BIAS.offset)])
-    # Chi-square with two degrees of freedom: one in ten thousand is beyond.
-    assert off @ np.linalg.solve(sensor.covariance, off) < 18.4
-    assert abs(off[0]) < 0.1 * (float(BIAS.scale) - 1.0)
+    assert_bias_recovered(sensor)
     assert sensor.scale == float(fit.calibration.depth_bias.scale)
     assert sensor.scale_std == pytest.approx(fit.std["depth_bias.scale"], rel=1e-6)
     assert sensor.along_growth == pytest.approx(NOISE.quadratic, rel=0.5)

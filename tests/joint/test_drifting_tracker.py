@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from tracked_scene import MOUNT, VIEWS, tracked
+from tracked_scene import VIEWS, mount_covariance, mount_error, tracked
 
 import smartview_jax as sv
 from smartview_jax.dataset import PoseDataset
+from smartview_jax.engine import step_names
 from smartview_jax.evaluation import mean_nees, nees
-from smartview_jax.geometry import host_exponentials, host_logarithms, host_matrices
+from smartview_jax.geometry import host_exponentials
 from smartview_jax.joint import TrackerPrior
 
 STEPS = (2e-3, 3e-3)
@@ -36,27 +37,13 @@ def fits():
     return [fit_of(seed) for seed in range(3)]
 
 
-def error_of(fit):
-    """Errors of the mount: translation, m, and a rotation vector in the camera's axes, rad."""
-    found = host_matrices(fit.calibration.camera_from_mount)
-    turn = np.eye(4)[None]
-    turn[0, :3, :3] = found[:3, :3] @ MOUNT[:3, :3].T
-    return np.concatenate([found[:3, 3] - MOUNT[:3, 3], host_logarithms(turn)[0, 3:]])
-
-
-def covariance_of(fit):
-    name = fit.calibration.transform_names[0]
-    paths = [f"{name}.{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz"]
-    rows = [fit.parameter_names.index(path) for path in paths]
-    stds = np.array([fit.std[path] for path in paths])
-    covariance = fit.covariance[np.ix_(rows, rows)]
-    np.testing.assert_allclose(stds, np.sqrt(np.diagonal(covariance)), rtol=1e-9)
-    return covariance
-
-
 def test_the_covariance_allows_for_the_drift(fits):
-    errors = np.array([error_of(fit) for fit in fits])
-    scores = nees(errors, np.array([covariance_of(fit) for fit in fits]))
+    errors = np.array([mount_error(fit) for fit in fits])
+    covariances = np.array([mount_covariance(fit) for fit in fits])
+    for fit, covariance in zip(fits, covariances, strict=True):
+        stds = [fit.std[name] for name in step_names(fit.calibration.transform_names[0])]
+        np.testing.assert_allclose(stds, np.sqrt(np.diagonal(covariance)), rtol=1e-9)
+    scores = nees(errors, covariances)
     assert mean_nees(scores, 6).is_consistent
     steady = fit_of(0, tracker_prior=TrackerPrior(drift_probability=0.0))
     assert steady.drift is None
@@ -91,7 +78,7 @@ def test_a_unit_of_the_trackers_own_is_not_taken_for_a_drift(fits):
     data = PoseDataset.from_poses(*odometry(2, scale=2.5))
     fit = sv.fit_poses(data, field=None)
     asked = sv.fit_poses(data, scale=True, field=None)
-    np.testing.assert_allclose(error_of(fit), error_of(asked), atol=1e-9)
+    np.testing.assert_allclose(mount_error(fit), mount_error(asked), atol=1e-9)
     (text,) = set(fit.warnings) - set(asked.warnings)
     assert text.startswith("the tracker's unit of length is its own, 2.")
     assert all(float(metres.calibration.target_scale) == 1.0 for metres in fits)

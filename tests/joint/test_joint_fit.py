@@ -1,4 +1,6 @@
 import dataclasses
+import inspect
+from typing import get_type_hints
 
 import equinox as eqx
 import jax
@@ -20,6 +22,7 @@ from smartview_jax.engine.problem_builder import build_problem
 from smartview_jax.evaluation import cramer_rao, reprojection_errors
 from smartview_jax.fit_result import FitCode
 from smartview_jax.geometry import as_se3, host_matrices
+from smartview_jax.joint import JointOptions
 
 
 def test_a_real_set_reaches_the_reference():
@@ -335,3 +338,9 @@ def test_a_robot_that_errs_along_its_tool_alone_is_taken_for_what_it_is():
     misses = errors[0][:, :3] / np.array(stated)
     assert (np.sqrt(np.mean(misses**2, axis=0)) > 0.3).all()
     assert (np.sqrt(np.mean(misses**2, axis=0)) < 2.0).all()
+
+
+def test_options_that_others_pass_on_are_those_of_the_fit():
+    said_by_them = {"data", "start", "lens", "inliers", "progress"}
+    parameters = inspect.signature(fit_joint).parameters
+    assert set(get_type_hints(JointOptions)) == set(parameters) - said_by_them

@@ -8,7 +8,18 @@ import pytest
 from programs import programs_added
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation, Slerp
-from tracked_scene import MOUNT, ROBOT, TRACKER, VIEWS, WORLD, data_of, tracked, turned
+from tracked_scene import (
+    MOUNT,
+    ROBOT,
+    TRACKER,
+    VIEWS,
+    WORLD,
+    data_of,
+    mount_covariance,
+    mount_error,
+    tracked,
+    turned,
+)
 
 import smartview_jax as sv
 from smartview_jax.cameras import Camera, OpenCV4, Pinhole
@@ -38,24 +49,6 @@ def test_the_camera_takes_no_part_in_the_fit(fit):
     assert seconds == []
     assert again.calibration.camera is other
     np.testing.assert_array_equal(again.covariance, fit.covariance)
-
-
-def error_of(fit):
-    """Errors of the mount: translation, m, and a rotation vector in the camera's axes, rad."""
-    found = host_matrices(fit.calibration.camera_from_mount)
-    turn = np.eye(4)[None].repeat(1, axis=0)
-    turn[0, :3, :3] = found[:3, :3] @ MOUNT[:3, :3].T
-    return np.concatenate([found[:3, 3] - MOUNT[:3, 3], host_logarithms(turn)[0, 3:]])
-
-
-def mount_names(fit):
-    name = fit.calibration.transform_names[0]
-    return [f"{name}.{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz"]
-
-
-def covariance_of(fit):
-    rows = [fit.parameter_names.index(name) for name in mount_names(fit)]
-    return fit.covariance[np.ix_(rows, rows)]
 
 
 def test_the_fit_writes_its_page(fit, tmp_path):
@@ -103,7 +96,7 @@ def test_the_optimum_is_scipys(fit):
     # Beyond the first order the robot's noise and the mean differ: a hundredth of the interval.
     assert np.abs(best.x / std).max() < 0.02
     # The translation of a twist is at the base of the camera's frame.
-    np.testing.assert_allclose(np.sqrt(np.diagonal(covariance_of(fit)))[3:], std[3:6], rtol=0.15)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(mount_covariance(fit)))[3:], std[3:6], rtol=0.15)
 
 
 def turns(poses):
@@ -155,13 +148,15 @@ def test_a_pair_that_the_fit_leaves_out_does_not_widen_the_covariance(fit):
     measured[3, :3, 3] += 2e-3 * np.array([1.0, -1.0, 1.0])
     spoilt = sv.fit_poses(PoseDataset.from_poses(robot, measured), field=None)
     assert "standard deviations from where the other views put it" in spoilt.rejected[0].reason
-    stds = [np.sqrt(np.diagonal(covariance_of(each))) for each in (spoilt, fit)]
+    stds = [np.sqrt(np.diagonal(mount_covariance(each))) for each in (spoilt, fit)]
     assert (stds[0] < 1.25 * stds[1]).all()
 
 
 def test_the_covariance_is_true():
     fits = [sv.fit_poses(data_of(seed), field=None) for seed in range(1, 5)]
-    scores = nees(np.array([error_of(f) for f in fits]), np.array([covariance_of(f) for f in fits]))
+    scores = nees(
+        np.array([mount_error(f) for f in fits]), np.array([mount_covariance(f) for f in fits])
+    )
     assert mean_nees(scores, 6).is_consistent
 
 
@@ -179,15 +174,15 @@ def test_pairs_that_contradict_the_others_are_named_and_the_rest_is_kept():
     assert np.isnan(fit.pose_errors[8]).all()
     assert (fit.pose_errors[wrong, 0] > 0.02).all()
     clean = sv.fit_poses(data_of(3).select([k for k in range(VIEWS) if k not in (*wrong, 8)]))
-    np.testing.assert_allclose(error_of(fit), error_of(clean), atol=1e-6)
+    np.testing.assert_allclose(mount_error(fit), mount_error(clean), atol=1e-6)
 
 
 def test_a_fixed_camera_and_a_tracker_without_a_unit():
     fit = sv.fit_poses(data_of(4, mount="eye_to_hand"), field=None)
-    assert np.abs(error_of(fit))[:3].max() < 2e-3
+    assert np.abs(mount_error(fit))[:3].max() < 2e-3
     fit = sv.fit_poses(data_of(4, scale=2.5), scale=True, field=None)
     assert float(fit.calibration.target_scale) == pytest.approx(2.5, rel=5e-3)
-    assert np.abs(error_of(fit))[:3].max() < 4e-3
+    assert np.abs(mount_error(fit))[:3].max() < 4e-3
     # In the tracker's units the noise is smaller by as much.
     assert fit.tracker_noise[0] < 0.7 * TRACKER[0]
 
@@ -240,7 +235,7 @@ def test_a_calibration_is_saved_with_its_camera_only(tmp_path, fit):
 def test_a_start_is_checked_and_taken(fit):
     rough = MOUNT @ turned(np.full((1, 3), 0.02))[0]
     again = sv.fit_poses(data_of(0), start={"camera_from_tool": rough}, field=None)
-    np.testing.assert_allclose(error_of(again), error_of(fit), atol=1e-7)
+    np.testing.assert_allclose(mount_error(again), mount_error(fit), atol=1e-7)
     with pytest.raises(ValueError, match="expected camera_from_tool or base_from_world"):
         sv.fit_poses(data_of(0), start={"tool_from_camera": rough})
     with pytest.raises(ValueError, match=r"ratio_median: expected a positive number, found 0"):
@@ -321,7 +316,7 @@ def test_few_pairs_do_not_make_a_tracker_perfect(views, seed):
     # The covariance is of all sizes of the noise, of which so few pairs tell little.
     chain = TrackedChain(data_of(seed, views=views), fit.calibration, False, FLAT, TrackerPrior())
     of_mount = np.diagonal(likeliest_noise(chain).chain_covariance())[:6]
-    assert (np.diagonal(covariance_of(fit)) > 0.9 * of_mount).all()
+    assert (np.diagonal(mount_covariance(fit)) > 0.9 * of_mount).all()
 
 
 def test_a_turn_of_one_joint_tells_no_size():
@@ -389,7 +384,7 @@ def test_copied_pairs_count_once(fit):
     again = sv.fit_poses(PoseDataset.from_poses(robot[copied], measured[copied]), field=None)
     assert [rejection.view for rejection in again.rejected] == ["16", "17", "18"]
     assert any("repeat both poses of an earlier view" in text for text in again.warnings)
-    np.testing.assert_allclose(covariance_of(again), covariance_of(fit), rtol=1e-3)
+    np.testing.assert_allclose(mount_covariance(again), mount_covariance(fit), rtol=1e-3)
 
 
 def test_poses_that_are_both_inverted_are_doubted(fit):

@@ -9,7 +9,7 @@ from scipy.stats import t as student
 from smartview_jax import RelativePose
 from smartview_jax.engine import STEP_NAMES, ScaledJacobian
 from smartview_jax.geometry import host_matrices
-from smartview_jax.joint import relative_pose
+from smartview_jax.joint import RigUncertainty, relative_pose
 from smartview_jax.joint.open_directions import OpenDirections
 from smartview_jax.joint.undetermined_motion import UndeterminedMotion
 from smartview_jax.variance import SmallSampleCorrection
@@ -38,8 +38,8 @@ def test_the_interval_of_a_relative_pose_is_students(tmp_path):
     calibrations = dict(zip("ab", stereo_pair().values(), strict=True))
 
     def relative(log_sigmas):
-        known = covariance(np.array(log_sigmas))
-        return relative_pose(calibrations, names, known, "a", "b", correction)
+        known = RigUncertainty(names, covariance(np.array(log_sigmas)), correction)
+        return relative_pose(calibrations, known, "a", "b")
 
     step = 1e-6
     slopes = [
@@ -53,7 +53,8 @@ def test_the_interval_of_a_relative_pose_is_students(tmp_path):
     pose.save(tmp_path / "pose.yaml")
     read = RelativePose.load(tmp_path / "pose.yaml")
     np.testing.assert_allclose(read.half_widths(0.9), pose.half_widths(0.9))
-    known = relative_pose(calibrations, names, covariance(np.zeros(2)), "a", "b")
+    given_noise = RigUncertainty(names, covariance(np.zeros(2)))
+    known = relative_pose(calibrations, given_noise, "a", "b")
     np.testing.assert_allclose(known.half_widths(), pose.std * norm.ppf(0.975))
     known.save(tmp_path / "known.json")
     assert RelativePose.load(tmp_path / "known.json").degrees_of_freedom == (np.inf,) * 6
@@ -72,7 +73,8 @@ def test_what_was_held_has_no_interval(free):
         2.0 * np.eye(count)[None],
     )
     calibrations = dict(zip("ab", stereo_pair().values(), strict=True))
-    pose = relative_pose(calibrations, names, np.eye(count), "a", "b", correction)
+    known = RigUncertainty(names, np.eye(count), correction)
+    pose = relative_pose(calibrations, known, "a", "b")
     np.testing.assert_allclose(pose.degrees_of_freedom, [50.0] * free + [np.inf] * (6 - free))
     np.testing.assert_allclose(pose.half_widths()[free:], 0.0, atol=1e-12)
 
@@ -88,7 +90,8 @@ def test_what_nothing_determines_has_an_infinite_interval(tmp_path):
     for direction, is_open in ((together, False), (np.eye(12)[2], True)):
         motion = UndeterminedMotion(names, direction[None], ())
         undetermined = (OpenDirections.of_motion(motion),)
-        pose = relative_pose(calibrations, names, np.eye(12), "a", "b", None, undetermined)
+        known = RigUncertainty(names, np.eye(12), undetermined=undetermined)
+        pose = relative_pose(calibrations, known, "a", "b")
         expected = [k == 2 and is_open for k in range(6)]
         np.testing.assert_array_equal(np.isinf(pose.std), expected)
         np.testing.assert_array_equal(np.isinf(pose.half_widths()), expected)

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from host_poses import transform_errors
 from numpy_camera import project_radial
 from scipy.optimize import least_squares
 from two_hands_scene import (
@@ -15,7 +16,7 @@ from two_hands_scene import (
     TRANSLATION,
     hands_fit,
     hands_rig,
-    transform_error,
+    stepped,
     two_hands,
 )
 
@@ -34,13 +35,6 @@ NAMES = {
 @pytest.fixture(scope="module")
 def fit(tmp_path_factory):
     return hands_fit(tmp_path_factory)
-
-
-def stepped(pose, step):
-    """A transform after a step: rotated from the left, and its translation changed."""
-    result = host_exponentials(np.concatenate([np.zeros(3), step[3:]])) @ pose
-    result[:3, 3] = pose[:3, 3] + step[:3]
-    return result
 
 
 def scipy_fit(rig, truths):
@@ -98,7 +92,7 @@ def test_scipy_finds_the_same_optimum_and_covariance(fit):
         own = covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
         std = np.sqrt(np.diagonal(own))
         optimum = host_transforms(stepped(host_matrices(expected[name]), steps[k]))
-        assert np.abs(transform_error(found[name], optimum) / std).max() < 1e-3
+        assert np.abs(transform_errors(found[name], optimum) / std).max() < 1e-3
         if name in NAMES:
             rows = [fit.parameter_names.index(f"{NAMES[name]}.{step}") for step in STEP_NAMES]
             stated = fit.covariance[np.ix_(rows, rows)]

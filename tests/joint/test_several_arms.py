@@ -33,7 +33,7 @@ from smartview_jax.geometry import (
     host_transforms,
 )
 from smartview_jax.joint import RigEstimate, is_rig
-from smartview_jax.joint.relative_pose import relative_base
+from smartview_jax.joint.relative_pose import RigUncertainty, relative_base
 from smartview_jax.viewpoints import RigInformationModel, StopRule, ViewLimits, plan_states
 
 STATE = 5
@@ -123,7 +123,7 @@ def test_bases_that_are_both_relative_to_a_third_have_the_covariance_of_both():
     mixing = 1e-3 * rng.standard_normal((12, 12))
     names = [f"base_a_from_base_{arm}.{name}" for arm in "bc" for name in STEP_NAMES]
     given = {name: host_transforms(pose) for name, pose in bases.items()}
-    relative = relative_base(given, names, mixing @ mixing.T, "b", "c")
+    relative = relative_base(given, RigUncertainty(names, mixing @ mixing.T), "b", "c")
     steps = rng.standard_normal((20000, 12)) @ mixing.T
     drawn = [
         _moved(pose, own) for pose, own in ((bases["b"], steps[:, :6]), (bases["c"], steps[:, 6:]))

@@ -4,10 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from host_poses import stated_covariance, transform_errors
 from numpy_camera import project_radial
 from scipy.optimize import least_squares
 from scipy.stats import chi2
-from two_hands_scene import BOARD, NOISE, TRANSFORMS, transform_error, two_hands
+from two_hands_scene import BOARD, NOISE, TRANSFORMS, stepped, two_hands
 
 import smartview_jax as sv
 from smartview_jax.engine import STEP_NAMES, Parameters, host_retract
@@ -21,18 +22,6 @@ def known_camera_fit(seed, views=8):
     scene = two_hands(seed, views)
     options = {"noise": NOISE, "field": None, "fixed": ("camera",)}
     return scene, sv.fit_joint(scene.data, scene.calibration, **options)
-
-
-def covariance_of(fit, name):
-    rows = [fit.parameter_names.index(f"{name}.{step}") for step in STEP_NAMES]
-    return fit.covariance[np.ix_(rows, rows)]
-
-
-def stepped(pose, step):
-    """A transform after a step: rotated from the left, and its translation changed."""
-    result = host_exponentials(np.concatenate([np.zeros(3), step[3:]])) @ pose
-    result[:3, 3] = pose[:3, 3] + step[:3]
-    return result
 
 
 def test_scipy_finds_the_same_optimum_and_covariance():
@@ -69,13 +58,15 @@ def test_scipy_finds_the_same_optimum_and_covariance():
     steps = (unit * found.x)[:18].reshape(3, 6)
     for k, (name, pose, step) in enumerate(zip(TRANSFORMS, (X, Z, B), steps, strict=True)):
         std = np.sqrt(np.diagonal(covariance))[6 * k : 6 * k + 6]
-        off = transform_error(
+        off = transform_errors(
             fit.calibration.transforms[name], host_transforms(stepped(pose, step))
         )
         assert np.abs(off / std).max() < 1e-3
         expected = covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
         np.testing.assert_allclose(
-            covariance_of(fit, name) / np.outer(std, std), expected / np.outer(std, std), atol=1e-3
+            stated_covariance(fit, name) / np.outer(std, std),
+            expected / np.outer(std, std),
+            atol=1e-3,
         )
 
 
@@ -85,10 +76,10 @@ def test_errors_are_as_large_as_said():
     for seed in range(DRAWS):
         scene, fit = known_camera_fit(seed)
         for k, name in enumerate(TRANSFORMS):
-            error = transform_error(
+            error = transform_errors(
                 fit.calibration.transforms[name], scene.calibration.transforms[name]
             )
-            nees[seed, k] = error @ np.linalg.solve(covariance_of(fit, name), error)
+            nees[seed, k] = error @ np.linalg.solve(stated_covariance(fit, name), error)
     low, high = chi2.ppf([5e-4, 1.0 - 5e-4], 6 * DRAWS) / DRAWS
     assert ((low < nees.mean(axis=0)) & (nees.mean(axis=0) < high)).all(), nees.mean(axis=0)
 
@@ -104,7 +95,7 @@ def test_a_few_words_for_calibrate():
     assert "\nbase_from_other_base (+- 95 %)" in text
     assert "\nother_tool_from_world (+- 95 %)" in text
     for name in TRANSFORMS:
-        error = transform_error(
+        error = transform_errors(
             fit.calibration.transforms[name], scene.calibration.transforms[name]
         )
         widths = [fit.confidence_half_width(f"{name}.{step}") for step in STEP_NAMES]
@@ -125,9 +116,9 @@ def test_bases_that_are_known_are_held():
     )
     assert fit.warnings == ()
     found = fit.calibration.base_from_other_base
-    assert np.abs(transform_error(found, truth.base_from_other_base)).max() < 1e-8
-    error = transform_error(fit.calibration.camera_from_tool, truth.camera_from_tool)
-    assert error @ np.linalg.solve(covariance_of(fit, "camera_from_tool"), error) < chi2.ppf(
+    assert np.abs(transform_errors(found, truth.base_from_other_base)).max() < 1e-8
+    error = transform_errors(fit.calibration.camera_from_tool, truth.camera_from_tool)
+    assert error @ np.linalg.solve(stated_covariance(fit, "camera_from_tool"), error) < chi2.ppf(
         0.999, 6
     )
 
@@ -156,9 +147,8 @@ def test_the_parameters_of_three_transforms():
     np.testing.assert_array_equal(parameters.values(np), parameters.values())
     moved = host_retract(truth, step)
     np.testing.assert_allclose(parameters.step_to(moved), step, atol=1e-12)
-    assert (
-        np.abs(transform_error(moved.base_from_other_base, truth.base_from_other_base)).max() > 1e-3
-    )
+    changes = transform_errors(moved.base_from_other_base, truth.base_from_other_base)
+    assert np.abs(changes).max() > 1e-3
 
 
 def test_what_two_arms_do_not_have_is_said():

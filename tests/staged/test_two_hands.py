@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from two_hands_scene import transform_error, two_hands
+from host_poses import transform_errors
+from two_hands_scene import two_hands
 
 from smartview_jax import fit_staged
 from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms
@@ -23,7 +24,7 @@ def poses(seed, views):
 @pytest.mark.parametrize("views", [4, 10])
 def test_exact_poses_give_the_true_bases(views):
     seen, own, other, scene = poses(1, views)
-    error = transform_error(solve_bases(seen, own, other), scene.calibration.base_from_other_base)
+    error = transform_errors(solve_bases(seen, own, other), scene.calibration.base_from_other_base)
     assert np.abs(error).max() < 1e-6
 
 
@@ -33,7 +34,7 @@ def test_wrong_pairs_do_not_move_the_bases():
     own[:2] = own[[5, 7]]
     noise = np.array([1e-4] * 3 + [5e-4] * 3) * RNG.standard_normal((10, 6))
     actual = solve_bases(host_exponentials(noise) @ seen, own, other)
-    error = transform_error(actual, scene.calibration.base_from_other_base)
+    error = transform_errors(actual, scene.calibration.base_from_other_base)
     assert np.abs(error[:3]).max() < 4e-3
     assert np.abs(error[3:]).max() < 3e-3
 
@@ -52,7 +53,7 @@ def test_the_staged_fit_finds_all_three_transforms():
     actual, truth = fit.calibration.transforms, scene.calibration.transforms
     assert actual.keys() == truth.keys()
     for name, transform in actual.items():
-        assert np.abs(transform_error(transform, truth[name])).max() < 5e-3
+        assert np.abs(transform_errors(transform, truth[name])).max() < 5e-3
     assert fit.warnings == ()
 
 
@@ -64,4 +65,4 @@ def test_bases_that_are_given_are_kept():
     )
     camera, start = scene.calibration.camera, {"base_from_other_base": given}
     fit = fit_staged(scene.data, camera=camera, start=start)
-    assert np.abs(transform_error(fit.calibration.base_from_other_base, given)).max() < 1e-12
+    assert np.abs(transform_errors(fit.calibration.base_from_other_base, given)).max() < 1e-12

@@ -11,7 +11,6 @@ from shared_data import shared_case
 
 from benchmarks.single_tags import REAL_PLACE, REAL_TAG, place_of_camera, real_tag
 from smartview_jax import Calibration
-from smartview_jax.calibration import host_mount_from_holder
 from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.geometry import as_se3, host_exponentials, host_matrices
 from smartview_jax.simulation import random_viewpoints, simulate
@@ -44,7 +43,7 @@ def turn_between(first, second):
 
 def chosen(scene, **options):
     poses, _, _ = estimate_view_poses(scene.data.observations, CAMERA)
-    robot = host_mount_from_holder(scene.data.mount, scene.data.base_from_tool)
+    robot = scene.data.mount_from_holder
     used = np.ones(scene.data.view_count, dtype=bool)
     choice = choose_poses(
         scene.data.observations, CAMERA, poses, robot, used, pixel_sigma=0.3, **options

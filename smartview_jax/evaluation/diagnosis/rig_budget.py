@@ -8,15 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...dataset import Rig
-from ...engine import (
-    ROBOT_ERROR,
-    FitCovariance,
-    is_size,
-    solve,
-    step_names,
-)
+from ...engine import ROBOT_ERROR, FitCovariance, is_size, solve, step_names
 from ...geometry import host_matrices, host_transforms
-from ...joint import RigFit, fit_rig, relative_pose
+from ...joint import RigFit, RigUncertainty, fit_rig, relative_pose
 from ...robot_errors import LinearInPose
 from ..measures import reprojection_errors
 from ..rejections import without_rejected_rig_views
@@ -147,7 +141,9 @@ def pose_uncertainties(fit: RigFit) -> tuple[PoseUncertainty, ...]:
     for first, second in combinations(calibrations, 2):
         if fit.on_one_mount(first, second):
             covariances = {
-                cause: relative_pose(calibrations, names, matrix, first, second).covariance
+                cause: relative_pose(
+                    calibrations, RigUncertainty(names, matrix), first, second
+                ).covariance
                 for cause, matrix in by_cause.items()
             }
             variances = {cause: np.diagonal(matrix) for cause, matrix in covariances.items()}
@@ -171,7 +167,7 @@ def covariance_by_cause(fit: RigFit) -> dict[str, Float[np.ndarray, "free free"]
     # The estimate's error is P (J^T e)_shared - P sum_s K_s^T (J^T e)_s, with K_s the gain of a
     # state's own parameters. A prior's whitened error has the covariance 1:
     #     of shared parameters P W^2 P, with W its weights; of states P sum_s K_s^T W_s^2 K_s P.
-    weight = np.asarray(problem.prior_weight.shared)[np.asarray(problem.free)]
+    weight = problem.host_prior_weight
     noise_std = np.where(problem.per_view_free, np.asarray(problem.prior_weight.per_view), 0.0)
     is_field = np.array([ROBOT_ERROR in name.split(".") for name in names], dtype=bool)
     of_size = np.array([is_size(name) for name in names], dtype=bool)

@@ -27,7 +27,7 @@ from ...engine import (
     observability,
     padded,
 )
-from ...joint import OpenDirections, RelativePose, relative_pose
+from ...joint import OpenDirections, RelativePose, RigUncertainty, relative_pose
 from ...robot_errors import FieldChoice
 from ...runtime.array_namespace import to_device
 from ...runtime.compilation import compiled
@@ -76,14 +76,10 @@ class RigBound(eqx.Module):
         Raises:
             ValueError: no such camera, or cameras that the robot moves against each other.
         """
-        return relative_pose(
-            self.calibrations,
-            self.parameter_names,
-            self.covariance,
-            first,
-            second,
-            undetermined=[self.undetermined],
+        known = RigUncertainty(
+            self.parameter_names, self.covariance, undetermined=[self.undetermined]
         )
+        return relative_pose(self.calibrations, known, first, second)
 
 
 @overload

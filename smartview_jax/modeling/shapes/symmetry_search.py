@@ -26,9 +26,9 @@ A mesh represents a cylinder as a prism; no object made of few flat faces has so
 """
 
 TESTED_EDGES = 8
-"""Number of nearest vertices of rims whose edges a point on a rim may be on.
+"""Number of rim vertices nearest to a point whose edges are tested for passing through it.
 
-The nearest one ends that edge, unless other rims come nearer than half a chord.
+The nearest vertex is an end of that edge, unless another rim is nearer than half a chord.
 """
 
 TESTED_FIRST = 16
@@ -75,9 +75,9 @@ def find_symmetry(model: ObjectModel, tolerance: float | None = None) -> Symmetr
 def shape_sigma(model: ObjectModel) -> float:
     """Return the standard deviation of an object's edges from its model, m.
 
-    It is the model's tolerance, and how far the model is from the symmetry that it states: if the
-    object has that symmetry, its vertices are not exactly where the model has them. The errors of
-    measured vertices are in their covariance, and are no part of it.
+    It combines the model's tolerance with the deviation of its vertices from the symmetry that it
+    states: a symmetric object does not have them exactly where the model has. Errors of measured
+    vertices are in their covariance, and do not count here.
     """
     from scipy.spatial import KDTree
 
@@ -311,7 +311,7 @@ def _are_corners(model: ObjectModel, rims: list[int]) -> Bool[np.ndarray, "V"]:
 def _bends(
     before: Float[np.ndarray, "*n 3"], after: Float[np.ndarray, "*n 3"]
 ) -> Float[np.ndarray, "*n"]:
-    """Return the angle by which a line turns at a point, given the ways to both neighbours, rad."""
+    """Return the angle, rad, by which a line turns at a point with vectors to its neighbours."""
     sine = np.linalg.norm(np.cross(before, after), axis=-1)
     return np.pi - np.arctan2(sine, np.sum(before * after, axis=-1))
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ...geometry import host_poses
 from ...robots import BOX_CORNERS, BOX_TRIANGLES
-from ...targets import AbstractTarget, StackedTarget
+from ...targets import AbstractTarget
 from ..patterns import printed_pattern
 from ..solid_scenes import Surface
 from ..textures import Texture, labelled, speckled
@@ -95,7 +95,7 @@ def board_on_table(board: AbstractTarget, table: Texture) -> Texture:
     if not board.y_up:
         raise ValueError("the board of a cell has z upwards: give it as a StackedTarget")
     # Only the flat board is printed.
-    flat = board.board if isinstance(board, StackedTarget) else board
+    flat = board.flat_board
     is_dark: Callable = printed_pattern(flat)
     # The y axis of a stack points up, but down on most boards.
     sign = 1.0 if flat.y_up else -1.0

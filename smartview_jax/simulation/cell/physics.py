@@ -250,7 +250,11 @@ class Physics:
 
     @contextmanager
     def _whole_motion(self) -> Iterator[None]:
-        """Mark a motion as running, and refuse to start one after another was interrupted."""
+        """Mark a motion as running.
+
+        Raises:
+            CellError: the last motion was interrupted.
+        """
         # The flag is still set if the previous motion did not finish.
         if self._moving:
             raise CellError("the last motion was interrupted or failed; drop the objects again")
