@@ -18,6 +18,13 @@ Normal equations in double precision resolve singular values down to about 1e-8.
 """
 
 
+KNOWN_VARIANCE = 1e-12
+"""Variance of a combination of parameters, in units of their own, that counts as known exactly.
+
+Smaller ones are rounding in double precision.
+"""
+
+
 class ScaledJacobian:
     """The singular value decomposition of the shared parameters' Jacobian, scaled to unit columns.
 
@@ -155,6 +162,26 @@ def covariance(
     return full, np.where(has_null_component, np.inf, std)
 
 
+def covariance_by_names(
+    covariance: Float[np.ndarray, "n n"],
+    std: Float[np.ndarray, "n"],
+    named_by_fitted: Float[np.ndarray, "n n"] | None,
+) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n"]]:
+    """Return the covariance of parameters as they are named, and their standard deviations.
+
+    Args:
+        covariance: covariance of the parameters that were fitted.
+        std: their standard deviations; infinite where nothing determines them.
+        named_by_fitted: as `AbstractProblem.host_named_by_fitted` returns it; None if these are
+            the same.
+    """
+    if named_by_fitted is None:
+        return covariance, std
+    named = named_by_fitted @ covariance @ named_by_fitted.T
+    is_open = (named_by_fitted != 0.0) @ np.isinf(std)
+    return named, np.where(is_open, np.inf, np.sqrt(np.diagonal(named)))
+
+
 def per_view_std(
     equations: ReducedEquations,
     shared_covariance: Float[np.ndarray, "n n"],
@@ -179,10 +206,19 @@ def per_view_std(
 
 
 def inverse_of_covariance(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Return the information matrix of a covariance of full rank."""
+    """Return the information matrix of a covariance.
+
+    A direction that is known exactly gets that of `KNOWN_VARIANCE`.
+    """
     # Pixels and radians differ by many orders of magnitude: invert the correlations instead.
     scale = np.sqrt(np.diagonal(covariance))
-    return np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
+    correlations = covariance / np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(correlations)
+    if values[0] > KNOWN_VARIANCE:
+        return np.linalg.inv(correlations) / np.outer(scale, scale)
+    # The focal lengths of square pixels are one number, and their difference is known exactly.
+    inverse = (vectors / np.maximum(values, KNOWN_VARIANCE)) @ vectors.T
+    return inverse / np.outer(scale, scale)
 
 
 def covariance_factor(

@@ -156,11 +156,11 @@ def build_problem(
     if start.depth_bias is not None:
         choice = choice._replace(priors=TYPICAL_DEPTH_BIAS | choice.priors)
         data = data if noise_model is None else with_known_depth_noise(data, noise_model)
-    shared = Parameters(start)
-    shared_size = shared.layout.size
+    shared_size = Parameters(start).layout.size
     names = parameter_names(start, data.view_ids if noise_model else ())
     holds_error = field == "auto" and start.robot_error is not None
     is_free = choice.is_free(names, [TARGET_SCALE, *([ROBOT_ERROR] if holds_error else [])])
+    fits_aspect = to_device(np.array(True)) if choice.fitted_aspects(names, is_free) else None
     fitted_field = None if field == "auto" else field
     mean, weight = prior_means_and_weights(
         names,
@@ -187,7 +187,7 @@ def build_problem(
         ),
     }
     problem = JointProblem(
-        parameters=shared,
+        parameters=Parameters(start, fits_aspect),
         observations=data.observations,
         **to_device_together(arrays),
         loss=loss_by_name(loss),

@@ -128,16 +128,25 @@ def build_rig(
         camera: [place[name] for name in of_camera] for camera, of_camera in camera_names.items()
     }
     relative = dict.fromkeys(rig.cameras, 1.0) | dict(relative_sigmas or {})
-    groups, cameras = _grouped(
-        _with_known_depth_noise(rig, noise, relative), starts, prepared, index, relative
-    )
-
     corrections = correction_names(rig.view_ids)
     whole, size = (*names, *corrections), len(names)
     held = [name for name in names if is_size(name)]
     if field == "auto" and error is not None:
         held.append(ROBOT_ERROR)
     is_free = choice.is_free(whole, held)
+    aspects = choice.fitted_aspects(whole, is_free)
+    fits_aspect = {
+        camera: not aspects.isdisjoint(of_camera) for camera, of_camera in camera_names.items()
+    }
+    groups, cameras = _grouped(
+        _with_known_depth_noise(rig, noise, relative),
+        starts,
+        prepared,
+        index,
+        relative,
+        fits_aspect if aspects else {},
+    )
+
     # A state that no camera saw well enough keeps its reported pose.
     placed = np.array([len(cameras) > 0 for cameras in rig.seeing])
     is_free[size:] &= placed.repeat(6)
@@ -283,6 +292,7 @@ def _grouped(
     prepared: PreparedPoses | None,
     index: Mapping[str, list[int]],
     relative_sigmas: Mapping[str, float],
+    fits_aspect: Mapping[str, bool],
 ) -> tuple[tuple[CameraGroup, ...], tuple[tuple[str, ...], ...]]:
     """Stack the cameras by kind of lens and mount; return the groups and their cameras' names."""
     by_kind: dict[object, list[str]] = {}
@@ -300,7 +310,12 @@ def _grouped(
             states.append(states_of_views)
             problems.append(
                 _camera_alone(
-                    rig, camera, starts[camera], prepared, relative_sigmas[camera], (views, points)
+                    rig,
+                    camera,
+                    Parameters(starts[camera], _as_array(fits_aspect.get(camera))),
+                    prepared,
+                    relative_sigmas[camera],
+                    (views, points),
                 )
             )
         stacked = jax.tree.map(
@@ -311,17 +326,23 @@ def _grouped(
     return tuple(groups), tuple(tuple(cameras) for cameras in by_kind.values())
 
 
+def _as_array(flag: bool | None) -> Bool[np.ndarray, ""] | None:
+    """Return a flag as an array, which problems can be stacked with."""
+    return None if flag is None else np.array(flag)
+
+
 def _camera_alone(
     rig: Rig,
     camera: str,
-    start: Calibration,
+    parameters: Parameters,
     prepared: PreparedPoses | None,
     sigma: float,
     shape: tuple[int, int],
 ) -> JointProblem:
     """Return the problem of one camera, padded to a number of views and points."""
-    data, parameters, (views, points) = rig.cameras[camera], Parameters(start), shape
-    visible = to_device(np.asarray(data.visible) & ~unprojectable_points(data, start))
+    data, (views, points) = rig.cameras[camera], shape
+    unprojectable = unprojectable_points(data, parameters.start)
+    visible = to_device(np.asarray(data.visible) & ~unprojectable)
     observations = eqx.tree_at(lambda o: o.visible, data.observations, visible)
     of_views = jax.tree.map(lambda x: np.asarray(x)[rig.state_index[camera]], prepared)
     size = parameters.layout.size

@@ -17,10 +17,12 @@ from scipy.special import fdtrc
 
 from ..cameras import Pinhole
 from ..engine import (
+    PIXEL_ASPECT,
     AbstractProblem,
     FittedChain,
     JointProblem,
     Step,
+    is_focal_length,
     parameter_names,
     reduced_equations,
     solve,
@@ -31,7 +33,7 @@ from ..runtime.array_namespace import to_device
 from ..runtime.modules import with_fields
 from .arm_fit import SolvedArm
 from .joint_fit import JointFit
-from .parameter_estimates import display_unit, displayed_values
+from .parameter_estimates import display_unit, displayed_values, pixel_aspect
 
 MAX_P_VALUE = 1e-6
 """P-value of the decrease of the residuals below which a held value is contradicted.
@@ -207,10 +209,11 @@ def held_value_test(fit: JointFit) -> HeldValueTest:
     stated = np.arange(layout.camera.stop if poses_are_free else layout.target_scale.start)
     free, weight = np.asarray(problem.free), np.asarray(problem.prior_weight.shared)
     # Directions that the robot's motion leaves open are held too, but not by the user.
-    names = parameter_names(problem.parameters.start)
+    names = _fitted_names(problem)
     held = np.array([k for k in np.setdiff1d(stated, free) if names[k] not in fit.std], dtype=int)
     with_prior = np.intersect1d(stated[weight[stated] > 0.0], free)
-    added = np.zeros((len(fit.parameter_names),) * 2)
+    fitted = tuple(names[k] for k in free)
+    added = np.zeros((len(fitted),) * 2)
     tests = []
     if len(held):
         tests.append(_contradicted_values(fit, held))
@@ -218,9 +221,20 @@ def held_value_test(fit: JointFit) -> HeldValueTest:
         tests.append(_contradicted_priors(fit, with_prior))
     for texts, refit in tests:
         if texts and refit is not None:
-            added = added + refit.effect_of_held(fit.parameter_names)
+            added = added + refit.effect_of_held(fitted)
+    by_fitted = problem.host_named_by_fitted(fit.solution.z)
+    if by_fitted is not None:
+        added = by_fitted @ added @ by_fitted.T
     warnings = tuple(text for texts, _ in tests for text in texts)
     return HeldValueTest(warnings, fit.parameter_names, added)
+
+
+def _fitted_names(problem: JointProblem) -> tuple[str, ...]:
+    """Return the names of the parameters, with the ratio of focal lengths where it is fitted."""
+    names = parameter_names(problem.parameters.start)
+    if problem.parameters.fits_aspect is None:
+        return names
+    return tuple(PIXEL_ASPECT if is_focal_length(name) else name for name in names)
 
 
 def _contradicted_values(
@@ -239,7 +253,7 @@ def _contradicted_values(
         held = np.union1d(shifted, PINHOLE_COUNT + np.arange(count))
     # The estimated target shape may compensate for wrong held values, so both shapes are tried.
     free = np.union1d(np.asarray(problem.free), held)
-    all_names = parameter_names(problem.parameters.start)
+    all_names = _fitted_names(problem)
     determined = [
         (refit, shaped)
         for shaped in (problem, _with_stated_shape(problem, fit))
@@ -325,10 +339,11 @@ def held_camera_test(arm: SolvedArm) -> HeldValueTest:
     }
     text = _contradiction_text(contradicted, refit, estimated, stated)
     refit = refit.believing(_others(held_names, contradicted), problem, names, z)
+    added, by_fitted = refit.effect_of_held(fitted), problem.host_named_by_fitted(z)
     return HeldValueTest(
         (f"{text}: correct them, or leave out these cameras (camera=, --camera)",),
         fitted,
-        refit.effect_of_held(fitted),
+        added if by_fitted is None else by_fitted @ added @ by_fitted.T,
     )
 
 
@@ -341,11 +356,12 @@ def _contradicted_priors(
     free, step = np.asarray(problem.free), np.asarray(problem.scale.shared) * np.asarray(z.shared)
     offsets = problem.host_offset_at_start()
     offsets[free] += step
-    names = parameter_names(problem.parameters.start)
+    names = _fitted_names(problem)
     refit = _refit(_without_priors(problem, with_prior), names, z, free)
     if refit is None:
         return [], None
     estimated = displayed_values(refit.chain.calibration)
+    estimated |= {PIXEL_ASPECT: (pixel_aspect(refit.chain.calibration), "")}
     sentences, contradicted = [], []
     for k, std, offset in zip(with_prior.tolist(), stds, offsets[with_prior], strict=True):
         name = names[k]

@@ -224,7 +224,10 @@ def view_influence(fit: JointFit) -> Influence:
         >>> print(f"view {data.view_ids[np.argmax(change)]}: {change.max():.1f} std")
         view 5: 1.1 std
     """
-    changes = np.asarray(deletion_changes(fit.problem, fit.solution.z))
+    problem, z = fit.problem, fit.solution.z
+    changes, by_fitted = np.asarray(deletion_changes(problem, z)), problem.host_named_by_fitted(z)
+    if by_fitted is not None:
+        changes = changes @ by_fitted.T
     std = np.array([fit.std[name] for name in fit.parameter_names])
     mount_path = fit.calibration.transform_names[0]
     return Influence(changes, std, fit.parameter_names, fit.view_ids, mount_path)

@@ -173,6 +173,7 @@ def _assembled(
     first = next(iter(arms.values()))
     together = joined or first
     built, solution, equations = together.built, together.solution, together.equations
+    by_fitted = built.problem.host_named_by_fitted(solution.z)
     # The noise is stated or estimated: the variance factor is one.
     uncertainty, correction = FitCovariance.of(equations.matrix), None
     estimated = (
@@ -182,7 +183,13 @@ def _assembled(
     )
     if estimated is not None:
         added, correction = estimated
+        if by_fitted is not None:
+            added = by_fitted @ added @ by_fitted.T
+            correction = correction.by_names(by_fitted, uncertainty.shared)
+        uncertainty = uncertainty.by_names(by_fitted)
         uncertainty = uncertainty.with_added(added, correction.degrees_of_freedom)
+    else:
+        uncertainty = uncertainty.by_names(by_fitted)
     cameras: dict[str, _CameraFit] = {}
     chains = (solution.chain,) if joined is None else solution.chain
     for arm, of_cameras in zip(arms.values(), chains, strict=True):

@@ -86,10 +86,9 @@ class RigInformationModel:
             **parameters,
         )
         built = build(rig)
-        # Prior information is the square of the weight on each free parameter.
-        problem = built.problem
-        weight = np.asarray(problem.prior_weight.shared)[np.asarray(problem.free)]
-        prior = to_device(np.diag(weight**2))
+        prior = to_device(built.problem.host_prior_information())
+        # The information of all views is by the parameters as they are named.
+        build = functools.partial(build, priors=None)
         return cls(rig, dict(calibrations), build, prior, built.shared_names)
 
     @classmethod

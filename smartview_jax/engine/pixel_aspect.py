@@ -1,0 +1,129 @@
+"""Fit the ratio of a camera's focal lengths, `camera.pixel_aspect`, in the place of alpha_v.
+
+Pixels of a sensor are square to about one part in a thousand. This is knowledge of the ratio
+`alpha_v / alpha_u`, while neither focal length is known. In a fit with such a prior the second
+number of the camera is the ratio, so that the prior is one of a single parameter, as all others.
+The result is stated for alpha_u and alpha_v again: only here and at the end of a fit does the
+ratio matter.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..runtime.array_namespace import AnyArray, array_namespace
+from .view_normal_equations import ViewNormalEquations
+
+PIXEL_ASPECT = "camera.pixel_aspect"
+"""The name of the ratio of the focal lengths, alpha_v / alpha_u."""
+
+_ALPHA_V = "camera.alpha_v"
+
+_U, _V = 0, 1
+"""Places of alpha_u, and of alpha_v or the ratio, among the numbers of a camera."""
+
+
+def is_aspect(path: str) -> bool:
+    """Return whether a path names the ratio of focal lengths; of a rig, after the camera's name."""
+    return f".{path}".endswith(f".{PIXEL_ASPECT}")
+
+
+def focal_length_of(path: str) -> str:
+    """Return the name of the alpha_v in whose place a ratio is fitted; other paths as they are."""
+    return path.removesuffix(PIXEL_ASPECT) + _ALPHA_V if is_aspect(path) else path
+
+
+def is_focal_length(name: str) -> bool:
+    """Return whether a parameter is an alpha_v, in whose place a ratio can be fitted."""
+    return f".{name}".endswith(f".{_ALPHA_V}")
+
+
+def alpha_u_of(name: str) -> str:
+    """Return the name of the alpha_u of the camera of an alpha_v."""
+    return f"{name.removesuffix('_v')}_u"
+
+
+def aspect_of(name: str) -> str:
+    """Return the name of the ratio that is fitted in the place of an alpha_v."""
+    return name.removesuffix(_ALPHA_V) + PIXEL_ASPECT
+
+
+def with_aspect(
+    numbers: Float[AnyArray, "numbers"], fits_aspect: Bool[AnyArray, ""]
+) -> Float[AnyArray, "numbers"]:
+    """Return the numbers of a camera with the ratio in the place of alpha_v, where it is fitted."""
+    xp = array_namespace(numbers)
+    second = xp.where(fits_aspect, numbers[_V] / numbers[_U], numbers[_V])
+    return xp.concatenate([numbers[:_V], second[None], numbers[_V + 1 :]])
+
+
+def without_aspect(
+    numbers: Float[AnyArray, "numbers"], fits_aspect: Bool[AnyArray, ""]
+) -> Float[AnyArray, "numbers"]:
+    """Return the numbers of a camera with alpha_v in the place of a ratio that is fitted."""
+    xp = array_namespace(numbers)
+    second = xp.where(fits_aspect, numbers[_V] * numbers[_U], numbers[_V])
+    return xp.concatenate([numbers[:_V], second[None], numbers[_V + 1 :]])
+
+
+def equations_by_aspect(
+    views: ViewNormalEquations,
+    alpha_u: Float[Array, ""],
+    alpha_v: Float[Array, ""],
+    fits_aspect: Bool[Array, ""],
+) -> ViewNormalEquations:
+    """Return the views' normal equations with the ratio as a parameter, where it is fitted."""
+    # alpha_v = a alpha_u with the ratio a: the column of alpha_u gets a times that of alpha_v, and
+    # the column of a is alpha_u times it. The rows follow in the same way.
+    by_alpha_u = jnp.where(fits_aspect, alpha_v / alpha_u, 0.0)
+    by_second = jnp.where(fits_aspect, alpha_u, 1.0)
+
+    def by_columns(x: Float[Array, "*rows columns"]) -> Float[Array, "*rows columns"]:
+        """Return an array by the columns of the Jacobian."""
+        first = x[..., _U] + by_alpha_u * x[..., _V]
+        return x.at[..., _U].set(first).at[..., _V].multiply(by_second)
+
+    by_rows = jnp.swapaxes(by_columns(views.matrix), 1, 2)
+    return ViewNormalEquations(by_columns(by_rows), by_columns(views.gradient), views.cost)
+
+
+class FittedAspects(NamedTuple):
+    """The cameras of a problem, and which of them have their ratio fitted.
+
+    Attributes:
+        places: indices of each camera's alpha_u, and of its alpha_v or ratio, among the shared
+            parameters.
+        fits_aspect: whether the ratio of each camera is fitted.
+    """
+
+    places: Int[AnyArray, "cameras 2"]
+    fits_aspect: Bool[AnyArray, "cameras"]
+
+    def named_by_fitted(
+        self, values: Float[AnyArray, "shared"]
+    ) -> Float[AnyArray, "shared shared"]:
+        """Return the derivative of the parameters with alpha_v by those with the ratio.
+
+        Args:
+            values: values of the parameters of the fit.
+        """
+        # d alpha_v = a d alpha_u + alpha_u d a
+        xp = array_namespace(values)
+        index = xp.arange(len(values))
+        at_u, at_v = (xp.asarray(self.places)[:, k, None] == index[None] for k in (_U, _V))
+        alpha_u, aspect = (xp.where(at, values, 0.0).sum(axis=1) for at in (at_u, at_v))
+        fits = xp.asarray(self.fits_aspect)[:, None]
+        change = xp.where(fits, aspect[:, None] * at_u + (alpha_u[:, None] - 1.0) * at_v, 0.0)
+        return xp.eye(len(values)) + at_v.T.astype(float) @ change
+
+
+def joined_aspects(parts: Sequence[FittedAspects]) -> FittedAspects | None:
+    """Return the cameras of several parts of a problem together; None if there are none."""
+    if not parts:
+        return None
+    return FittedAspects(
+        *(np.concatenate([np.asarray(x) for x in field]) for field in zip(*parts, strict=True))
+    )
