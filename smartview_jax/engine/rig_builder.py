@@ -67,6 +67,12 @@ class BuiltRig(AbstractBuiltProblem):
     cameras: tuple[tuple[str, ...], ...] = eqx.field(static=True)
     camera_names: dict[str, tuple[str, ...]] = eqx.field(static=True)
 
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """The names of all shared parameters, free or not."""
+        of_cameras = self.camera_names.values()
+        return tuple(dict.fromkeys(name for of_camera in of_cameras for name in of_camera))
+
     def without_view(self, camera: str, view: int) -> RigProblem:
         """Return the problem without the points that one camera saw in one view."""
         group = next(k for k, cameras in enumerate(self.cameras) if camera in cameras)

@@ -8,8 +8,8 @@ values that the pictures contradict would hold nothing true.
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,12 +17,16 @@ from scipy.special import fdtrc
 
 from ..cameras import Pinhole
 from ..engine import (
+    DEPTH_BIAS,
     PIXEL_ASPECT,
+    ROBOT_ERROR,
     AbstractProblem,
     FittedChain,
     JointProblem,
     Step,
+    aspect_of,
     is_focal_length,
+    is_size,
     parameter_names,
     reduced_equations,
     solve,
@@ -34,6 +38,8 @@ from ..runtime.modules import with_fields
 from .arm_fit import SolvedArm
 from .joint_fit import JointFit
 from .parameter_estimates import display_unit, displayed_values, pixel_aspect
+
+_Problem = TypeVar("_Problem", bound=AbstractProblem)
 
 MAX_P_VALUE = 1e-6
 """P-value of the decrease of the residuals below which a held value is contradicted.
@@ -218,7 +224,8 @@ def held_value_test(fit: JointFit) -> HeldValueTest:
     if len(held):
         tests.append(_contradicted_values(fit, held))
     if len(with_prior):
-        tests.append(_contradicted_priors(fit, with_prior))
+        z = fit.solution.z
+        tests.append(_contradicted_priors(problem, names, z, with_prior, _displayed_estimates))
     for texts, refit in tests:
         if texts and refit is not None:
             added = added + refit.effect_of_held(fitted)
@@ -235,6 +242,12 @@ def _fitted_names(problem: JointProblem) -> tuple[str, ...]:
     if problem.parameters.fits_aspect is None:
         return names
     return tuple(PIXEL_ASPECT if is_focal_length(name) else name for name in names)
+
+
+def _displayed_estimates(refit: _Refit) -> dict[str, tuple[float, str]]:
+    """Return the value and the unit of every parameter of a camera in a fit, by name."""
+    calibration = refit.chain.calibration
+    return displayed_values(calibration) | {PIXEL_ASPECT: (pixel_aspect(calibration), "")}
 
 
 def _contradicted_values(
@@ -311,8 +324,7 @@ def held_camera_test(arm: SolvedArm) -> HeldValueTest:
     """
     problem, z, fitted = arm.built.problem, arm.solution.z, arm.built.shared_names
     nothing = HeldValueTest((), fitted, np.zeros((len(fitted),) * 2))
-    by_camera = arm.built.camera_names.values()
-    names = tuple(dict.fromkeys(name for of_camera in by_camera for name in of_camera))
+    names = arm.built.parameter_names
     free = np.asarray(problem.free)
     # One or two views do not tell a lens.
     told = tuple(
@@ -347,21 +359,72 @@ def held_camera_test(arm: SolvedArm) -> HeldValueTest:
     )
 
 
+def stated_prior_test(arm: SolvedArm) -> HeldValueTest:
+    """Return whether the pictures of a rig contradict priors on cameras and transforms.
+
+    Args:
+        arm: the fit of the cameras of one arm.
+    """
+    problem, z, fitted = arm.built.problem, arm.solution.z, arm.built.shared_names
+    by_fitted = problem.host_named_by_fitted(z)
+    free, weight = np.asarray(problem.free), np.asarray(problem.prior_weight.shared)
+    names = list(arm.built.parameter_names)
+    aspects = problem.fitted_aspects
+    if aspects is not None:
+        for k in aspects.places[aspects.fits_aspect, 1]:
+            names[k] = aspect_of(names[k])
+    stated = [
+        k
+        for k in free.tolist()
+        if weight[k] > 0.0
+        and not is_size(names[k])
+        and not {ROBOT_ERROR, DEPTH_BIAS} & set(names[k].split("."))
+    ]
+    nothing = HeldValueTest((), fitted, np.zeros((len(fitted),) * 2))
+    if not stated:
+        return nothing
+    values = np.array(problem.host_start_values())
+    values[free] += np.asarray(problem.scale.shared) * np.asarray(z.shared)
+
+    def values_of(refit: _Refit) -> dict[str, tuple[float, str]]:
+        """Return value and unit of each parameter in a fit; rotations are turns from the start."""
+        units = {names[k]: display_unit(names[k]) for k in free}
+        estimates = {names[k]: values[k] + refit.difference[names[k]] for k in free}
+        return {name: (factor * estimates[name], unit) for name, (factor, unit) in units.items()}
+
+    texts, refit = _contradicted_priors(problem, names, z, np.array(stated), values_of)
+    if not texts or refit is None:
+        return nothing
+    added = refit.effect_of_held([names[k] for k in free])
+    return HeldValueTest(
+        tuple(texts), fitted, added if by_fitted is None else by_fitted @ added @ by_fitted.T
+    )
+
+
 def _contradicted_priors(
-    fit: JointFit, with_prior: Int[np.ndarray, "priors"]
+    problem: AbstractProblem,
+    names: Sequence[str],
+    z: Step,
+    with_prior: Int[np.ndarray, "priors"],
+    values_of: Callable[[_Refit], Mapping[str, tuple[float, str]]],
 ) -> tuple[list[str], _Refit | None]:
-    """Return a warning for each prior that the pictures contradict, and the fit without these."""
-    problem, z = fit.problem, fit.solution.z
+    """Return a warning for each prior that the pictures contradict, and the fit without these.
+
+    Args:
+        problem: the problem of the fit under test.
+        names: names of its shared parameters.
+        z: its solution.
+        with_prior: indices of the parameters with priors.
+        values_of: value and unit of each parameter in another fit.
+    """
     stds = 1.0 / np.asarray(problem.prior_weight.shared)[with_prior]
     free, step = np.asarray(problem.free), np.asarray(problem.scale.shared) * np.asarray(z.shared)
     offsets = problem.host_offset_at_start()
     offsets[free] += step
-    names = _fitted_names(problem)
     refit = _refit(_without_priors(problem, with_prior), names, z, free)
     if refit is None:
         return [], None
-    estimated = displayed_values(refit.chain.calibration)
-    estimated |= {PIXEL_ASPECT: (pixel_aspect(refit.chain.calibration), "")}
+    estimated = values_of(refit)
     sentences, contradicted = [], []
     for k, std, offset in zip(with_prior.tolist(), stds, offsets[with_prior], strict=True):
         name = names[k]
@@ -382,11 +445,11 @@ def _contradicted_priors(
     return sentences, refit
 
 
-def _without_priors(problem: JointProblem, priors: Int[np.ndarray, "priors"]) -> JointProblem:
+def _without_priors(problem: _Problem, priors: Int[np.ndarray, "priors"]) -> _Problem:
     """Return the problem without the priors on some shared parameters, given by their indices."""
     weight = np.array(problem.prior_weight.shared)
     weight[priors] = 0.0
-    return dataclasses.replace(
+    return with_fields(
         problem, prior_weight=problem.prior_weight._replace(shared=to_device(weight))
     )
 

@@ -40,10 +40,11 @@ def parameter_estimates(fit: "JointFit") -> tuple[ParameterEstimate, ...]:
     single coefficients have no meaning.
     """
     estimates, whole_stds = [], whole_error_stds(fit)
-    values = _values_with_units(fit.calibration)
+    values = list(_values_with_units(fit.calibration).items())
     if PIXEL_ASPECT in fit.std:
-        values = {PIXEL_ASPECT: (pixel_aspect(fit.calibration), 1.0, "")} | values
-    for name, (value, factor, unit) in values.items():
+        # After both focal lengths.
+        values.insert(2, (PIXEL_ASPECT, (pixel_aspect(fit.calibration), 1.0, "")))
+    for name, (value, factor, unit) in values:
         # Pose corrections are in `std` too, but only common parameters have an interval.
         std = half_width = None
         if name in fit.std:

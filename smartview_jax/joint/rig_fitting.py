@@ -39,7 +39,7 @@ from ..staged import with_region
 from ..variance import SmallSampleCorrection
 from .arm_fit import ArmOptions, SolvedArm, bases_of_pair, fit_arm
 from .fitted_depth_sensor import fitted_depth_sensor
-from .held_parameters import held_camera_test
+from .held_parameters import held_camera_test, stated_prior_test
 from .open_directions import OpenDirections
 from .plausibility import MIN_SCALE_PROBABILITY, principal_point_warnings
 from .rig_fit import RigFit
@@ -118,7 +118,9 @@ def fit_rig(
             ),
             _named(progress, arm) if several else progress,
         )
-    joined, tests = None, [held_camera_test(arm.judged or arm) for arm in arms.values()]
+    judged = [arm.judged or arm for arm in arms.values()]
+    joined = None
+    tests = [test(arm) for arm in judged for test in (held_camera_test, stated_prior_test)]
     if several:
         joined = join_arms(rig, arms, choice.priors, devices)
         motion = _undetermined_motion(rig, arms, starts, choice, joined.bases)
