@@ -146,13 +146,18 @@ class AbstractProblem(HostModule):
         values[free] += np.asarray(self.scale.shared) * np.asarray(z.shared)
         return np.asarray(aspects.named_by_fitted(values))[np.ix_(free, free)]
 
-    def named_by_fitted(self, z: Step) -> Float[Array, "free free"] | None:
-        """Return `host_named_by_fitted` inside a program."""
+    def covariance_by_names(
+        self, z: Step, covariance: Float[Array, "free free"]
+    ) -> Float[Array, "free free"]:
+        """Return the covariance of the free shared parameters as they are named, in a program."""
         aspects = self.fitted_aspects
         if aspects is None:
-            return None
+            return covariance
         values = self.start_values() + self.unscaled_step(z).shared
-        return self._take_free(self._take_free(aspects.named_by_fitted(values)).T).T
+        by_fitted = self._take_free(self._take_free(aspects.named_by_fitted(values)).T).T
+        named = by_fitted @ covariance @ by_fitted.T
+        # The covariance of what nothing determines is infinite.
+        return jnp.where(jnp.any(aspects.fits_aspect), named, covariance)
 
     def host_prior_information(self) -> Float[np.ndarray, "free free"]:
         """Return the information of the priors on the free shared parameters as they are named."""

@@ -37,7 +37,7 @@ from ..geometry import (
 )
 from ..robot_errors import RobotError
 from ..runtime.array_namespace import array_namespace, as_float_array
-from ..runtime.modules import HostModule
+from ..runtime.modules import HostModule, with_fields
 from .pixel_aspect import aspect_of, focal_length_of, is_focal_length, with_aspect, without_aspect
 
 STEP_NAMES = tuple(f"{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz")
@@ -190,6 +190,13 @@ class Parameters(HostModule):
 
     start: Calibration
     fits_aspect: Bool[Any, ""] | None = None
+
+    @property
+    def with_flag(self) -> "Parameters":
+        """The parameters with a flag in any case, so that either kind has the same program."""
+        if self.fits_aspect is not None:
+            return self
+        return with_fields(self, fits_aspect=np.array(False))
 
     @property
     def layout(self) -> ParameterLayout:

@@ -126,6 +126,7 @@ class ParameterChoice(NamedTuple):
         """
         fitted, state = set(), dict(zip(names, is_free.tolist(), strict=True))
         for path in filter(is_aspect, self.priors):
+            parameter_mask(names, (path,))
             alpha_v, mean = focal_length_of(path), self.priors[path].mean
             others = [other for other in self.priors if other != path]
             if mean is not None and not mean > 0.0:

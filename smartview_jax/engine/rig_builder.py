@@ -150,7 +150,7 @@ def build_rig(
         prepared,
         index,
         relative,
-        fits_aspect if aspects else {},
+        fits_aspect,
     )
 
     # A state that no camera saw well enough keeps its reported pose.
@@ -318,7 +318,7 @@ def _grouped(
                 _camera_alone(
                     rig,
                     camera,
-                    Parameters(starts[camera], _as_array(fits_aspect.get(camera))),
+                    Parameters(starts[camera], np.array(fits_aspect[camera])),
                     prepared,
                     relative_sigmas[camera],
                     (views, points),
@@ -330,11 +330,6 @@ def _grouped(
         places = np.array([index[camera] for camera in cameras])
         groups.append(CameraGroup(stacked, to_device(places), to_device(np.stack(states))))
     return tuple(groups), tuple(tuple(cameras) for cameras in by_kind.values())
-
-
-def _as_array(flag: bool | None) -> Bool[np.ndarray, ""] | None:
-    """Return a flag as an array, which problems can be stacked with."""
-    return None if flag is None else np.array(flag)
 
 
 def _camera_alone(

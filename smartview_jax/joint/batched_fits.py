@@ -198,11 +198,10 @@ def _solve_one(problem: JointProblem, sigma_known: bool, sigma_iterations: int) 
     # normal equations [[A, B^T], [B, C]]: pose corrections eliminated view by view.
     factor = 1.0 if sigma_known else _variance_factor(problem, z, equations)
     covariance = factor * _inverse(eliminate(equations.matrix).schur_complement)
-    by_fitted = problem.named_by_fitted(z)
     return (
         calibration,
         corrections,
-        covariance if by_fitted is None else by_fitted @ covariance @ by_fitted.T,
+        problem.covariance_by_names(z, covariance),
         equations.cost,
         steps,
         is_converged(predicted_decrease, equations.cost),
