@@ -113,11 +113,13 @@ class FittedAspects(NamedTuple):
         # d alpha_v = a d alpha_u + alpha_u d a
         xp = array_namespace(values)
         index = xp.arange(len(values))
-        at_u, at_v = (xp.asarray(self.places)[:, k, None] == index[None] for k in (_U, _V))
-        alpha_u, aspect = (xp.where(at, values, 0.0).sum(axis=1) for at in (at_u, at_v))
+        at_u, at_v = (
+            (xp.asarray(self.places)[:, k, None] == index[None]).astype(float) for k in (_U, _V)
+        )
+        alpha_u, aspect = ((at @ values)[:, None] for at in (at_u, at_v))
         fits = xp.asarray(self.fits_aspect)[:, None]
-        change = xp.where(fits, aspect[:, None] * at_u + (alpha_u[:, None] - 1.0) * at_v, 0.0)
-        return xp.eye(len(values)) + at_v.T.astype(float) @ change
+        change = xp.where(fits, aspect * at_u + (alpha_u - 1.0) * at_v, 0.0)
+        return xp.eye(len(values)) + at_v.T @ change
 
 
 def joined_aspects(parts: Sequence[FittedAspects]) -> FittedAspects | None:

@@ -21,7 +21,7 @@ from ..engine import (
 )
 from ..fit_result import FitResult, Rejection
 from ..runtime.compilation import is_traced
-from ..runtime.modules import HostModule
+from ..runtime.modules import HostModule, with_fields
 from ..variance import NoiseEstimate, p_value
 from .fit_text import fit_html, fit_line, fit_text, noise_text, points_and_residual
 from .influence import Influence, deletion_changes
@@ -225,7 +225,8 @@ def view_influence(fit: JointFit) -> Influence:
         view 5: 1.1 std
     """
     problem, z = fit.problem, fit.solution.z
-    changes, by_fitted = np.asarray(deletion_changes(problem, z)), problem.host_named_by_fitted(z)
+    with_flag = with_fields(problem, parameters=problem.parameters.with_flag)
+    changes, by_fitted = np.asarray(deletion_changes(with_flag, z)), problem.host_named_by_fitted(z)
     if by_fitted is not None:
         changes = changes @ by_fitted.T
     std = np.array([fit.std[name] for name in fit.parameter_names])
