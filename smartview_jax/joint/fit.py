@@ -27,9 +27,10 @@ from ..runtime.modules import with_fields
 from ..staged import with_region
 from .consistent_views import fit_consistent_views
 from .gross_errors import remove_gross_errors, without_views
-from .held_parameters import HeldValueTest, held_value_test
+from .held_parameters import held_value_test
 from .joint_fit import JointFit
 from .plausibility import plausibility_warnings
+from .refit import HeldValueTest
 from .undetermined import require_moving_robot
 from .view_fit import FitOptions
 

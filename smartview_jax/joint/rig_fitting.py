@@ -39,11 +39,12 @@ from ..staged import with_region
 from ..variance import SmallSampleCorrection
 from .arm_fit import ArmOptions, SolvedArm, bases_of_pair, fit_arm
 from .fitted_depth_sensor import fitted_depth_sensor
-from .held_parameters import held_camera_test, stated_prior_test
+from .held_parameters import held_camera_test
 from .open_directions import OpenDirections
 from .plausibility import MIN_SCALE_PROBABILITY, principal_point_warnings
 from .rig_fit import RigFit
 from .several_arms import JoinedArms, added_by_estimation, join_arms
+from .stated_priors import stated_prior_test
 from .told_by_others import with_told_by_others
 from .undetermined_motion import UndeterminedMotion
 from .undetermined_rig import undetermined_motion_of_rig
