@@ -14,7 +14,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float, Int
 
 from ..robot_errors import RobotError
-from ..runtime.array_namespace import to_device_together
+from ..runtime.array_namespace import AnyArray, to_device_together
 from ..runtime.modules import HostModule, with_fields
 from .parameters import Step, host_step
 from .pixel_aspect import FittedAspects
@@ -147,8 +147,8 @@ class AbstractProblem(HostModule):
         return np.asarray(aspects.named_by_fitted(values))[np.ix_(free, free)]
 
     def covariance_by_names(
-        self, z: Step, covariance: Float[Array, "free free"]
-    ) -> Float[Array, "free free"]:
+        self, z: Step, covariance: Float[AnyArray, "free free"]
+    ) -> Float[AnyArray, "free free"]:
         """Return the covariance of the free shared parameters as they are named, in a program."""
         aspects = self.fitted_aspects
         if aspects is None:

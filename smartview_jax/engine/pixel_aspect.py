@@ -8,7 +8,7 @@ ratio matter.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -52,8 +52,8 @@ def aspect_of(name: str) -> str:
 
 
 def with_aspect(
-    numbers: Float[AnyArray, "numbers"], fits_aspect: Bool[AnyArray, ""]
-) -> Float[AnyArray, "numbers"]:
+    numbers: Float[Any, "numbers"], fits_aspect: Bool[AnyArray, ""]
+) -> Float[Any, "numbers"]:
     """Return the numbers of a camera with the ratio in the place of alpha_v, where it is fitted."""
     xp = array_namespace(numbers)
     second = xp.where(fits_aspect, numbers[_V] / numbers[_U], numbers[_V])
@@ -61,8 +61,8 @@ def with_aspect(
 
 
 def without_aspect(
-    numbers: Float[AnyArray, "numbers"], fits_aspect: Bool[AnyArray, ""]
-) -> Float[AnyArray, "numbers"]:
+    numbers: Float[Any, "numbers"], fits_aspect: Bool[AnyArray, ""]
+) -> Float[Any, "numbers"]:
     """Return the numbers of a camera with alpha_v in the place of a ratio that is fitted."""
     xp = array_namespace(numbers)
     second = xp.where(fits_aspect, numbers[_V] * numbers[_U], numbers[_V])
@@ -102,9 +102,7 @@ class FittedAspects(NamedTuple):
     places: Int[AnyArray, "cameras 2"]
     fits_aspect: Bool[AnyArray, "cameras"]
 
-    def named_by_fitted(
-        self, values: Float[AnyArray, "shared"]
-    ) -> Float[AnyArray, "shared shared"]:
+    def named_by_fitted(self, values: Float[Any, "shared"]) -> Float[Any, "shared shared"]:
         """Return the derivative of the parameters with alpha_v by those with the ratio.
 
         Args:

@@ -5,7 +5,7 @@ many standard deviations. So after the fit priors are removed, and what the pict
 named with the estimate without it.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TypeVar
 
 import numpy as np
@@ -30,11 +30,10 @@ def stated_prior_test(arm: SolvedArm) -> HeldValueTest:
     problem, z, fitted = arm.built.problem, arm.solution.z, arm.built.shared_names
     by_fitted = problem.host_named_by_fitted(z)
     free, weight = np.asarray(problem.free), np.asarray(problem.prior_weight.shared)
-    names = list(arm.built.parameter_names)
-    aspects = problem.fitted_aspects
+    names, aspects = arm.built.parameter_names, problem.fitted_aspects
     if aspects is not None:
-        for k in aspects.places[aspects.fits_aspect, 1]:
-            names[k] = aspect_of(names[k])
+        by_ratio = aspects.places[aspects.fits_aspect, 1].tolist()
+        names = tuple(aspect_of(n) if k in by_ratio else n for k, n in enumerate(names))
     stated = [
         k
         for k in free.tolist()
@@ -52,7 +51,9 @@ def stated_prior_test(arm: SolvedArm) -> HeldValueTest:
         """Return value and unit of each parameter in a fit; rotations are turns from the start."""
         units = {names[k]: display_unit(names[k]) for k in free}
         estimates = {names[k]: values[k] + refit.difference[names[k]] for k in free}
-        return {name: (factor * estimates[name], unit) for name, (factor, unit) in units.items()}
+        return {
+            name: (float(factor * estimates[name]), unit) for name, (factor, unit) in units.items()
+        }
 
     texts, refit = contradicted_priors(problem, names, z, np.array(stated), values_of)
     if not texts or refit is None:
@@ -65,7 +66,7 @@ def stated_prior_test(arm: SolvedArm) -> HeldValueTest:
 
 def contradicted_priors(
     problem: AbstractProblem,
-    names: Sequence[str],
+    names: tuple[str, ...],
     z: Step,
     with_prior: Int[np.ndarray, "priors"],
     values_of: Callable[[Refit], Mapping[str, tuple[float, str]]],
