@@ -16,8 +16,9 @@ from .pixel_aspect import alpha_u_of, focal_length_of, is_aspect
 class Prior:
     """A Gaussian prior on all parameters that a path selects; both numbers are given by name.
 
-    The path `camera.pixel_aspect` is the ratio of the focal lengths, `alpha_v / alpha_u`. It is one
-    within about 1e-3 for sensors with square pixels, and a tiny standard deviation holds it.
+    The path `camera.pixel_aspect` is the ratio of the focal lengths, `alpha_v / alpha_u`, which is
+    one within 1e-3 or better for square pixels. A standard deviation of 1e-9 makes the focal
+    lengths one, as OpenCV's CALIB_FIX_ASPECT_RATIO does.
 
     Attributes:
         std: standard deviation, in the parameter's own unit (px, m, rad, 1).

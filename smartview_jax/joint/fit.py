@@ -74,7 +74,8 @@ def fit_joint(
             estimated from the residuals.
         fixed: paths of parameters that keep the start's value.
         free: paths to free that are held by default: `"target_scale"`.
-        priors: a `Prior` by path.
+        priors: a `Prior` by path; `camera.pixel_aspect` is the ratio of the focal lengths, one for
+            square pixels.
         solver: any optimistix least-squares solver; by default `StructuredLM`.
         devices: devices over which the views are distributed, such as `jax.devices()`, also of
             other processes; by default the fit runs on one.

@@ -86,7 +86,8 @@ def fit_rig(
             noise is estimated on the default device.
         parameters: `fixed`, paths of parameters that keep the start's value, such as `left.camera`
             or `base_from_world` (see `build_rig`, and `build_arms` for several arms); `free`, paths
-            to free that are held by default: `target_scale`; `priors`, a `Prior` by path.
+            to free that are held by default: `target_scale`; `priors`, a `Prior` by path, such as
+            `left.camera.pixel_aspect` for the square pixels of one camera.
 
     Raises:
         TypeError: an argument of a wrong type.
