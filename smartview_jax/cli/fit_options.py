@@ -48,8 +48,8 @@ PriorOption = Annotated[
         help="Prior of a parameter: NAME=VALUE+-SIGMA with its unit (px, mm, m, deg, rad), such "
         "as camera.u0=640+-5px or camera_from_tool.translation.x=12+-2mm; NAME=+-SIGMA is centred "
         "on the start; or a YAML file of such lines. Square pixels: camera.pixel_aspect=1+-0.001, "
-        "the ratio of the focal lengths (1+-1e-9: one focal length). Of several cameras this ratio alone, of all or as "
-        "left.camera.pixel_aspect. May be repeated."
+        "the ratio of the focal lengths (1+-1e-9: one focal length). Of several cameras this ratio "
+        "alone, of all or as left.camera.pixel_aspect. May be repeated."
     ),
 ]
 StartOption = Annotated[

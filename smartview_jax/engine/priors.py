@@ -110,12 +110,13 @@ class ParameterChoice(NamedTuple):
         is_free = ~parameter_mask(names, held) | parameter_mask(names, self.free)
         return is_free & ~parameter_mask(names, self.fixed)
 
-    def fitted_aspects(
+    def with_fitted_aspects(
         self, names: Sequence[str], is_free: Bool[np.ndarray, "parameters"]
-    ) -> frozenset[str]:
-        """Return the names of each alpha_v in whose place the ratio of focal lengths is fitted.
+    ) -> tuple["ParameterChoice", frozenset[str]]:
+        """Return each alpha_v in whose place the ratio of focal lengths is fitted.
 
-        The ratio is fitted where it has a prior.
+        The ratio is fitted where it has a prior. The choice is returned without the priors on
+        ratios of cameras that are held.
 
         Args:
             names: names of all parameters.
@@ -143,7 +144,12 @@ class ParameterChoice(NamedTuple):
                 )
             if state[alpha_v]:
                 fitted.add(alpha_v)
-        return frozenset(fitted)
+        priors = {
+            path: prior
+            for path, prior in self.priors.items()
+            if not is_aspect(path) or focal_length_of(path) in fitted
+        }
+        return self._replace(priors=priors), frozenset(fitted)
 
     def of_camera(self, name: str) -> "ParameterChoice":
         """Return the choice that concerns the lens of a rig's camera, in the camera's own names."""

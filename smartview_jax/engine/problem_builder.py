@@ -160,7 +160,7 @@ def build_problem(
     names = parameter_names(start, data.view_ids if noise_model else ())
     holds_error = field == "auto" and start.robot_error is not None
     is_free = choice.is_free(names, [TARGET_SCALE, *([ROBOT_ERROR] if holds_error else [])])
-    fits_aspect = to_device(np.array(True)) if choice.fitted_aspects(names, is_free) else None
+    choice, aspects = choice.with_fitted_aspects(names, is_free)
     fitted_field = None if field == "auto" else field
     mean, weight = prior_means_and_weights(
         names,
@@ -187,7 +187,7 @@ def build_problem(
         ),
     }
     problem = JointProblem(
-        parameters=Parameters(start, fits_aspect),
+        parameters=Parameters(start, to_device(np.array(True)) if aspects else None),
         observations=data.observations,
         **to_device_together(arrays),
         loss=loss_by_name(loss),

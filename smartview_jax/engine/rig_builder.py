@@ -140,7 +140,7 @@ def build_rig(
     if field == "auto" and error is not None:
         held.append(ROBOT_ERROR)
     is_free = choice.is_free(whole, held)
-    aspects = choice.fitted_aspects(whole, is_free)
+    choice, aspects = choice.with_fitted_aspects(whole, is_free)
     fits_aspect = {
         camera: not aspects.isdisjoint(of_camera) for camera, of_camera in camera_names.items()
     }

@@ -10,9 +10,15 @@ from scipy.optimize import approx_fprime, least_squares
 from scipy.spatial.transform import Rotation
 from starts import nudged
 
-from smartview_jax import Dataset, Noise, Prior, fit_joint
+from smartview_jax import Dataset, Noise, Prior, Rig, fit_joint
 from smartview_jax.cameras import Camera, Pinhole
-from smartview_jax.engine import PIXEL_ASPECT, build_problem, host_step, inverse_of_covariance
+from smartview_jax.engine import (
+    PIXEL_ASPECT,
+    build_problem,
+    build_rig,
+    host_step,
+    inverse_of_covariance,
+)
 from smartview_jax.engine.pixel_aspect import with_aspect, without_aspect
 from smartview_jax.geometry import host_matrices
 from smartview_jax.simulation import paper_calibration
@@ -129,6 +135,23 @@ def test_without_a_mean_it_is_the_ratio_of_the_start(seen_by_opencv):
     fit = fit_joint(data, truth, noise="trusted", priors={PIXEL_ASPECT: Prior(std=1e-9)})
     camera = fit.calibration.camera
     assert float(camera.alpha_v / camera.alpha_u) == pytest.approx(1932.8 / 1933.0, abs=1e-9)
+
+
+def test_of_a_held_camera_the_ratio_has_no_prior(seen_by_opencv):
+    truth, data = seen_by_opencv
+    built = build_problem(data, truth, fixed=("camera",), priors=square(1e-9, 1.1))
+    assert not np.asarray(built.problem.prior_weight.shared).any()
+    assert built.problem.fitted_aspects is None
+    rig = build_rig(
+        Rig({"left": data, "right": data}),
+        {"left": truth, "right": truth},
+        noise=NOISE,
+        fixed=("left.camera",),
+        priors={f"{name}.camera.pixel_aspect": Prior(std=1e-3) for name in ("left", "right")},
+    )
+    counting = np.flatnonzero(np.asarray(rig.problem.prior_weight.shared))
+    assert [rig.parameter_names[k] for k in counting] == ["right.camera.alpha_v"]
+    assert rig.problem.fitted_aspects.fits_aspect.tolist() == [False, True]
 
 
 @pytest.mark.parametrize(
