@@ -208,13 +208,14 @@ def per_view_std(
 def inverse_of_covariance(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     """Return the information matrix of a covariance.
 
-    A direction that is known exactly gets that of `KNOWN_VARIANCE`.
+    A combination that is known exactly counts as one with the variance `KNOWN_VARIANCE`.
     """
     # Pixels and radians differ by many orders of magnitude: invert the correlations instead.
     scale = np.sqrt(np.diagonal(covariance))
     correlations = covariance / np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(correlations)
-    if values[0] > KNOWN_VARIANCE:
+    # What is not finite stays so.
+    values, vectors = np.linalg.eigh(np.nan_to_num(correlations))
+    if values[0] > KNOWN_VARIANCE or not np.isfinite(correlations).all():
         return np.linalg.inv(correlations) / np.outer(scale, scale)
     # The focal lengths of square pixels are one number, and their difference is known exactly.
     inverse = (vectors / np.maximum(values, KNOWN_VARIANCE)) @ vectors.T

@@ -88,7 +88,7 @@ class FitCovariance(NamedTuple):
     def std_by_name(self, built: AbstractBuiltProblem) -> dict[str, float]:
         """Return the standard deviations of all parameters, single views' own among them.
 
-        Those of ratios of focal lengths that were fitted are given too.
+        Ratios of focal lengths that were fitted have one, too.
         """
         # diag(f C_v^-1 + G_v P G_v^T), with G_v = C_v^-1 B_v and P the shared covariance.
         problem = built.problem
@@ -106,7 +106,7 @@ class FitCovariance(NamedTuple):
     def freedom_by_name(self, built: AbstractBuiltProblem) -> dict[str, float]:
         """Return the degrees of freedom of the shared parameters.
 
-        Ratios of focal lengths that were fitted have those of alpha_v.
+        Ratios of focal lengths that were fitted have alpha_v's.
         """
         names, freedom = built.shared_names, list(map(float, self.degrees_of_freedom))
         of_aspects = {aspect_of(names[k]): freedom[k] for k, _ in self._aspects(built)}

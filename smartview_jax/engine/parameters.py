@@ -192,7 +192,7 @@ class Parameters(HostModule):
     fits_aspect: Bool[Any, ""] | None = None
 
     @property
-    def with_flag(self) -> "Parameters":
+    def with_aspect_flag(self) -> "Parameters":
         """The parameters with a flag in any case, so that either kind has the same program."""
         if self.fits_aspect is not None:
             return self

@@ -1,10 +1,9 @@
 """Fit the ratio of a camera's focal lengths, `camera.pixel_aspect`, in the place of alpha_v.
 
-Pixels of a sensor are square to about one part in a thousand. This is knowledge of the ratio
-`alpha_v / alpha_u`, while neither focal length is known. In a fit with such a prior the second
-number of the camera is the ratio, so that the prior is one of a single parameter, as all others.
-The result is stated for alpha_u and alpha_v again: only here and at the end of a fit does the
-ratio matter.
+Pixels of a sensor are square to one part in a thousand or better, which tells the ratio
+`alpha_v / alpha_u`, but neither focal length. In a fit with such a prior the camera's second number
+is the ratio, so that the prior is on a single parameter, as all others. Parameters keep their
+names, and covariances are stated for alpha_u and alpha_v: they are converted where a fit ends.
 """
 
 from collections.abc import Sequence
@@ -76,8 +75,8 @@ def equations_by_aspect(
     fits_aspect: Bool[Array, ""],
 ) -> ViewNormalEquations:
     """Return the views' normal equations with the ratio as a parameter, where it is fitted."""
-    # alpha_v = a alpha_u with the ratio a: the column of alpha_u gets a times that of alpha_v, and
-    # the column of a is alpha_u times it. The rows follow in the same way.
+    # alpha_v = a alpha_u with the ratio a: alpha_u's column J_u becomes J_u + a J_v, and the column
+    # of the ratio is alpha_u J_v, with J_v alpha_v's. The rows follow in the same way.
     by_alpha_u = jnp.where(fits_aspect, alpha_v / alpha_u, 0.0)
     by_second = jnp.where(fits_aspect, alpha_u, 1.0)
 

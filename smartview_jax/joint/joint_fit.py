@@ -225,8 +225,8 @@ def view_influence(fit: JointFit) -> Influence:
         view 5: 1.1 std
     """
     problem, z = fit.problem, fit.solution.z
-    with_flag = with_fields(problem, parameters=problem.parameters.with_flag)
-    changes, by_fitted = np.asarray(deletion_changes(with_flag, z)), problem.host_named_by_fitted(z)
+    flagged = with_fields(problem, parameters=problem.parameters.with_aspect_flag)
+    changes, by_fitted = np.asarray(deletion_changes(flagged, z)), problem.host_named_by_fitted(z)
     if by_fitted is not None:
         changes = changes @ by_fitted.T
     std = np.array([fit.std[name] for name in fit.parameter_names])

@@ -235,7 +235,7 @@ def _solve_group(
 ) -> tuple[_Result, Bool[np.ndarray, "fits views"]]:
     """Solve the problems of one shape; return their stacked results and unprojectable views."""
     numbers, built = list(group), next(iter(built_by_views.values()))
-    problem = with_fields(built.problem, parameters=built.problem.parameters.with_flag)
+    problem = with_fields(built.problem, parameters=built.problem.parameters.with_aspect_flag)
     sigma_iterations = SIGMA_ITERATIONS if built.depends_on_sigma and not built.sigma_known else 0
 
     def inputs(row: int) -> PerFitInputs:
