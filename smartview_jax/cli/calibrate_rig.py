@@ -1,7 +1,7 @@
 """Calibrate the cameras that watched one robot together, for `smartview calibrate`."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -12,7 +12,7 @@ import smartview_jax as sv
 from .calibrate_folder import CalibrateSettings, loaded_folder
 from .calibrate_result import AbstractResult
 from .documents import budget_document, transform_document
-from .fit_options import parse_rig_start
+from .fit_options import parse_rig_aspects, parse_rig_start
 from .terminal import print_lines, print_table
 
 _Known = TypeVar("_Known")
@@ -160,7 +160,11 @@ def fitted_rig(
     start = parse_rig_start(settings.known.start or (), mounts)
     if start is not None:
         notes.append(f"start given for {', '.join(start)}")
-    fit = sv.calibrate(rig, settings.lens, camera=known, start=start, progress=progress)
+    aspects = parse_rig_aspects(settings.known.prior or (), tuple(rig.cameras), known or ())
+    notes += [f"given: --prior {text}" for text in settings.known.prior or ()]
+    fit = sv.calibrate(
+        rig, settings.lens, camera=known, start=start, priors=aspects or None, progress=progress
+    )
     scores, used = None, sv.evaluation.without_rejected_rig_views(rig, fit)
     least = sv.evaluation.MIN_HELD_OUT_VIEWS
     if settings.held_out and len(used.usable_views()) < least:
@@ -173,6 +177,7 @@ def fitted_rig(
                 settings.lens,
                 camera=_of_cameras(part, known),
                 start=_of_cameras(part, start),
+                priors=_of_own_cameras(part, aspects),
             ),
             progress=lambda text: progress(f"held-out: {text}"),
         )
@@ -193,10 +198,19 @@ def _of_cameras(rig: "sv.Rig", known: dict[str, _Known] | None) -> dict[str, _Kn
     return known and {name: camera for name, camera in known.items() if name in rig.cameras}
 
 
+def _of_own_cameras(
+    rig: "sv.Rig", priors: "Mapping[str, sv.Prior]"
+) -> "dict[str, sv.Prior] | None":
+    """Return the priors on parameters of cameras that a rig has."""
+    return {
+        path: prior for path, prior in priors.items() if path.split(".")[0] in rig.cameras
+    } or None
+
+
 def _refuse_other_options(settings: CalibrateSettings) -> None:
     """Raise a ValueError for an option that a rig does not have."""
     known = dataclasses.asdict(settings.known)
-    taken = ("camera", "start")
+    taken = ("camera", "start", "prior")
     given = [f"--{name}" for name, value in known.items() if value and name not in taken]
     given += ["--noise"] * (settings.noise != "estimated")
     given += ["--mount"] * (settings.mount is not None)
@@ -205,8 +219,8 @@ def _refuse_other_options(settings: CalibrateSettings) -> None:
     if given:
         raise ValueError(
             f"{given[0]}: not for several cameras together, which take --lens, --bad-views, "
-            "--held-out, --diagnose, --camera, --start and --out; sv.calibrate(sv.Rig(...)) takes "
-            "the rest"
+            "--held-out, --diagnose, --camera, --start, --prior and --out; "
+            "sv.calibrate(sv.Rig(...)) takes the rest"
         )
 
 

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -47,7 +47,9 @@ PriorOption = Annotated[
     typer.Option(
         help="Prior of a parameter: NAME=VALUE+-SIGMA with its unit (px, mm, m, deg, rad), such "
         "as camera.u0=640+-5px or camera_from_tool.translation.x=12+-2mm; NAME=+-SIGMA is centred "
-        "on the start; or a YAML file of such lines. May be repeated."
+        "on the start; or a YAML file of such lines. Square pixels: camera.pixel_aspect=1+-0.001, "
+        "the ratio of the focal lengths (1+-1e-9: one focal length). Of several cameras this ratio "
+        "alone, of all or as left.camera.pixel_aspect. May be repeated."
     ),
 ]
 StartOption = Annotated[
@@ -120,6 +122,8 @@ def parse_fit_options(lens: str, mount: str, known: FitKnowledge) -> FitOptions:
     camera = None if known.camera is None else sv.io.read_camera(known.camera)
     fixed, free = tuple(known.fixed or ()), tuple(known.free or ())
     units = _units_by_name(lens, mount, camera)
+    with errors_at("--fixed, --free"):
+        sv.engine.ParameterChoice.of(fixed, free)
     for option, paths in (("--fixed", fixed), ("--free", free)):
         for path in paths:
             _names_of(option, path, units)
@@ -185,7 +189,9 @@ def _prior_texts(texts: Sequence[str]) -> list[str]:
 def _parse_prior(text: str, units: dict[str, str]) -> "tuple[str, sv.Prior]":
     """Return the path and the prior of NAME=VALUE+-SIGMA, in the library's units."""
     path, _, value = text.partition("=")
-    shown = {units[name] for name in _names_of("--prior", path.strip(), units)}
+    names = _names_of("--prior", path.strip(), units)
+    # A ratio of lengths in px has no unit.
+    shown = {"" if sv.engine.is_aspect(path.strip()) else units[name] for name in names}
     # A path such as camera_from_tool covers lengths and angles, which have no common unit.
     match = _PRIOR.fullmatch(value)
     if match is None or len(shown) != 1:
@@ -291,6 +297,37 @@ def parse_rig_start(
         entries[name].append(transform)
     starts = {name: _parse_start(listed, mounts[name]) for name, listed in entries.items()}
     return {name: start for name, start in starts.items() if start is not None} or None
+
+
+def parse_rig_aspects(
+    texts: Sequence[str], cameras: Collection[str], known: Collection[str] = ()
+) -> "dict[str, sv.Prior]":
+    """Return the priors on the ratios of a rig's focal lengths by path.
+
+    Args:
+        texts: camera.pixel_aspect=1+-0.001 for all cameras, or left.camera.pixel_aspect for one.
+        cameras: names of the cameras.
+        known: names of cameras that are held.
+
+    Raises:
+        ValueError: another parameter, a camera that is unknown or held, or what no text of a prior
+            can mean.
+    """
+    whole = sv.engine.PIXEL_ASPECT
+    fitted = [name for name in cameras if name not in known]
+    units = {sv.engine.focal_length_of(path): "" for path in (whole, *_aspects_of(fitted))}
+    priors: dict[str, sv.Prior] = {}
+    for text in _prior_texts(texts):
+        path, prior = _parse_prior(text, units)
+        if not sv.engine.is_aspect(path):
+            raise ValueError(f"--prior {path}: of several cameras only {whole} has a prior")
+        priors |= dict.fromkeys(_aspects_of(fitted) if path == whole else [path], prior)
+    return priors
+
+
+def _aspects_of(cameras: Sequence[str]) -> list[str]:
+    """Return the path of the ratio of focal lengths of each camera of a rig."""
+    return [f"{name}.{sv.engine.PIXEL_ASPECT}" for name in cameras]
 
 
 def parse_transforms(texts: Sequence[str], mount: str) -> "dict[str, SE3]":

@@ -72,8 +72,8 @@ class FocusChange(NamedTuple):
             return (
                 f"from view {view_ids[self.views[0]]} on, the focal length seems to be another "
                 f"({100.0 * (self.ratios[0] - 1.0):+.2g} %), as if the lens had zoomed or focused "
-                "once, or later pictures were cut and resized: without this, robot and camera agree "
-                f"to {1e3 * self.across:.2g} mm. Calibrate the two parts separately"
+                "once, or later pictures were cut and resized: without this, robot and camera "
+                f"agree to {1e3 * self.across:.2g} mm. Calibrate the two parts separately"
             )
         if self.views:
             names = [

@@ -7,10 +7,10 @@ from .arms_builder import choices_of_arms as choices_of_arms
 from .arms_problem import ArmInRig as ArmInRig
 from .arms_problem import ArmsProblem as ArmsProblem
 from .covariance import RANK_TOLERANCE as RANK_TOLERANCE
-from .covariance import FitCovariance as FitCovariance
 from .covariance import ReducedEquations as ReducedEquations
 from .covariance import ScaledJacobian as ScaledJacobian
 from .covariance import covariance as covariance
+from .covariance import covariance_by_names as covariance_by_names
 from .covariance import covariance_factor as covariance_factor
 from .covariance import inverse_of_covariance as inverse_of_covariance
 from .covariance import per_view_std as per_view_std
@@ -18,6 +18,7 @@ from .covariance import reduced_equations as reduced_equations
 from .covariance import robust_variance as robust_variance
 from .covariance import variance_factor as variance_factor
 from .covariance import variance_of_sum as variance_of_sum
+from .fit_covariance import FitCovariance as FitCovariance
 from .losses import AbstractLoss as AbstractLoss
 from .losses import Cauchy as Cauchy
 from .losses import GemanMcClure as GemanMcClure
@@ -45,6 +46,11 @@ from .parameters import parameter_mask as parameter_mask
 from .parameters import parameter_names as parameter_names
 from .parameters import step_names as step_names
 from .parameters import twist_by_step as twist_by_step
+from .pixel_aspect import PIXEL_ASPECT as PIXEL_ASPECT
+from .pixel_aspect import aspect_of as aspect_of
+from .pixel_aspect import focal_length_of as focal_length_of
+from .pixel_aspect import is_aspect as is_aspect
+from .pixel_aspect import is_focal_length as is_focal_length
 from .pixel_sigma import SIGMA_FLOOR as SIGMA_FLOOR
 from .pixel_sigma import solve_with_estimated_sigma as solve_with_estimated_sigma
 from .pixel_sigma import squared_residuals as squared_residuals

@@ -14,9 +14,10 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float, Int
 
 from ..robot_errors import RobotError
-from ..runtime.array_namespace import to_device_together
+from ..runtime.array_namespace import AnyArray, to_device_together
 from ..runtime.modules import HostModule, with_fields
 from .parameters import Step, host_step
+from .pixel_aspect import FittedAspects
 from .schur import BlockArrow
 
 _Problem = TypeVar("_Problem", bound="AbstractProblem")
@@ -123,6 +124,50 @@ class AbstractProblem(HostModule):
     @abc.abstractmethod
     def is_camera(self) -> Bool[Any, "shared"]:
         """Mask of the parameters of cameras (focal lengths, lens) among the shared ones."""
+
+    @property
+    @abc.abstractmethod
+    def fitted_aspects(self) -> FittedAspects | None:
+        """The cameras whose ratio of focal lengths is fitted in the place of alpha_v; or None."""
+
+    def host_named_by_fitted(self, z: Step) -> Float[np.ndarray, "free free"] | None:
+        """Return the derivative of the free parameters as they are named by those that are fitted.
+
+        A camera's alpha_v is named, but may have the ratio of the focal lengths in its place. None
+        if all parameters are fitted as they are named.
+
+        Args:
+            z: scaled step from the start.
+        """
+        aspects = self.fitted_aspects
+        if aspects is None:
+            return None
+        values, free = np.array(self.host_start_values()), np.asarray(self.free)
+        values[free] += np.asarray(self.scale.shared) * np.asarray(z.shared)
+        return np.asarray(aspects.named_by_fitted(values))[np.ix_(free, free)]
+
+    def covariance_by_names(
+        self, z: Step, covariance: Float[AnyArray, "free free"]
+    ) -> Float[AnyArray, "free free"]:
+        """Return the covariance of the free shared parameters as they are named, in a program."""
+        aspects = self.fitted_aspects
+        if aspects is None:
+            return covariance
+        values = self.start_values() + self.unscaled_step(z).shared
+        by_fitted = self._take_free(self._take_free(aspects.named_by_fitted(values)).T).T
+        named = by_fitted @ covariance @ by_fitted.T
+        # The covariance of what nothing determines is infinite.
+        return jnp.where(jnp.any(aspects.fits_aspect), named, covariance)
+
+    def host_prior_information(self) -> Float[np.ndarray, "free free"]:
+        """Return the information of the priors on the free shared parameters as they are named."""
+        # Prior information is the square of the weight on each free parameter.
+        information = np.diag(np.asarray(self.prior_weight.shared)[np.asarray(self.free)] ** 2)
+        by_fitted = self.host_named_by_fitted(self.zero_step())
+        if by_fitted is None:
+            return information
+        by_named = np.linalg.inv(by_fitted)
+        return by_named.T @ information @ by_named
 
     @property
     @abc.abstractmethod

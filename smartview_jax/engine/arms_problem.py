@@ -33,6 +33,7 @@ from .parameters import (
     rotation_vector_between,
     twist_by_step,
 )
+from .pixel_aspect import FittedAspects, joined_aspects
 from .problem import FittedChain
 from .rig_problem import RigProblem
 from .schur import BlockArrow
@@ -141,6 +142,17 @@ class ArmsProblem(AbstractRigProblem):
     def parts(self) -> list[Any]:
         """The problems of the arms."""
         return [arm.problem for arm in self.arms]
+
+    @property
+    def fitted_aspects(self) -> FittedAspects | None:
+        """The cameras whose ratio of focal lengths is fitted in the place of alpha_v."""
+        of_arms = []
+        for arm in self.arms:
+            aspects = arm.problem.fitted_aspects
+            if aspects is not None:
+                places = np.asarray(arm.parameter_index)[aspects.places]
+                of_arms.append(aspects._replace(places=places))
+        return joined_aspects(of_arms)
 
     def start_values(self) -> Float[Array, "shared"]:
         """Return the values of the shared parameters at the start."""

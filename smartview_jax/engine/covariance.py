@@ -6,16 +6,22 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..runtime.array_namespace import AnyArray, AnyScalar, array_namespace
-from .abstract_problem import AbstractBuiltProblem
-from .schur import BlockArrow
 
 if TYPE_CHECKING:
     from .problem import JointProblem
+    from .schur import BlockArrow
 
 RANK_TOLERANCE = 3e-7
 """Singular value, of the Jacobian with unit columns, below which a direction is unobservable.
 
 Normal equations in double precision resolve singular values down to about 1e-8.
+"""
+
+
+KNOWN_VARIANCE = 1e-12
+"""Variance of a combination of parameters, in units of their own, that counts as known exactly.
+
+Smaller ones are rounding in double precision.
 """
 
 
@@ -156,6 +162,26 @@ def covariance(
     return full, np.where(has_null_component, np.inf, std)
 
 
+def covariance_by_names(
+    covariance: Float[np.ndarray, "n n"],
+    std: Float[np.ndarray, "n"],
+    named_by_fitted: Float[np.ndarray, "n n"] | None,
+) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n"]]:
+    """Return the covariance of parameters as they are named, and their standard deviations.
+
+    Args:
+        covariance: covariance of the parameters that were fitted.
+        std: their standard deviations; infinite where nothing determines them.
+        named_by_fitted: as `AbstractProblem.host_named_by_fitted` returns it; None if these are
+            the same.
+    """
+    if named_by_fitted is None:
+        return covariance, std
+    named = named_by_fitted @ covariance @ named_by_fitted.T
+    is_open = (named_by_fitted != 0.0) @ np.isinf(std)
+    return named, np.where(is_open, np.inf, np.sqrt(np.diagonal(named)))
+
+
 def per_view_std(
     equations: ReducedEquations,
     shared_covariance: Float[np.ndarray, "n n"],
@@ -180,10 +206,20 @@ def per_view_std(
 
 
 def inverse_of_covariance(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Return the information matrix of a covariance of full rank."""
+    """Return the information matrix of a covariance.
+
+    A combination that is known exactly counts as one with the variance `KNOWN_VARIANCE`.
+    """
     # Pixels and radians differ by many orders of magnitude: invert the correlations instead.
     scale = np.sqrt(np.diagonal(covariance))
-    return np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
+    correlations = covariance / np.outer(scale, scale)
+    # What is not finite stays so.
+    values, vectors = np.linalg.eigh(np.nan_to_num(correlations))
+    if values[0] > KNOWN_VARIANCE or not np.isfinite(correlations).all():
+        return np.linalg.inv(correlations) / np.outer(scale, scale)
+    # The focal lengths of square pixels are one number, and their difference is known exactly.
+    inverse = (vectors / np.maximum(values, KNOWN_VARIANCE)) @ vectors.T
+    return inverse / np.outer(scale, scale)
 
 
 def covariance_factor(
@@ -198,66 +234,3 @@ def covariance_factor(
     correlations = covariance / (safe[..., :, None] * safe[..., None, :])
     eigenvalues, vectors = np.linalg.eigh(correlations)
     return scale[..., :, None] * vectors * np.sqrt(eigenvalues.clip(0.0))[..., None, :]
-
-
-class FitCovariance(NamedTuple):
-    """The covariance of the parameters that all views share, and what the views' own follow from.
-
-    Attributes:
-        reduced: the normal equations of the shared parameters alone.
-        jacobian: their Jacobian, scaled to unit columns, whose singular values have no units.
-        variance_factor: factor by which the assumed variances are wrong.
-        shared: covariance of the shared parameters.
-        std: their standard deviations, infinite where nothing determines them.
-        degrees_of_freedom: degrees of freedom of their intervals.
-    """
-
-    reduced: ReducedEquations
-    jacobian: ScaledJacobian
-    variance_factor: float
-    shared: Float[np.ndarray, "parameters parameters"]
-    std: Float[np.ndarray, "parameters"]
-    degrees_of_freedom: Float[np.ndarray, "parameters"]
-
-    @classmethod
-    def of(cls, matrix: BlockArrow, variance_factor: float = 1.0) -> "FitCovariance":
-        """Return the covariance for known noise: f R^-1, with R the reduced normal equations.
-
-        Args:
-            matrix: the normal equations at the solution.
-            variance_factor: the factor f by which the assumed variances are wrong; one if they are
-                known or estimated.
-        """
-        reduced = reduced_equations(matrix)
-        norms = np.sqrt(np.diagonal(np.asarray(matrix.shared)))
-        jacobian = ScaledJacobian(reduced.schur_complement, norms)
-        shared, std = covariance(jacobian, variance_factor)
-        freedom = np.full(len(std), np.inf)
-        return cls(reduced, jacobian, variance_factor, shared, std, freedom)
-
-    def with_added(
-        self,
-        added: Float[np.ndarray, "parameters parameters"],
-        degrees_of_freedom: Float[np.ndarray, "parameters"],
-    ) -> "FitCovariance":
-        """Return the covariance with what the estimation of the noise adds, and finite freedom."""
-        return self._replace(
-            shared=self.shared + added,
-            std=np.sqrt(self.std**2 + np.diagonal(added)),
-            degrees_of_freedom=degrees_of_freedom,
-        )
-
-    def std_by_name(self, built: AbstractBuiltProblem) -> dict[str, float]:
-        """Return the standard deviations of all parameters, single views' own among them."""
-        # diag(f C_v^-1 + G_v P G_v^T), with G_v = C_v^-1 B_v and P the shared covariance.
-        problem = built.problem
-        of_views = per_view_std(
-            self.reduced, self.shared, self.variance_factor, problem.host_correction_roots
-        )
-        of_views = of_views[np.asarray(problem.per_view_free)]
-        names = (*built.shared_names, *built.per_view_names)
-        return dict(zip(names, map(float, (*self.std, *of_views)), strict=True))
-
-    def freedom_by_name(self, built: AbstractBuiltProblem) -> dict[str, float]:
-        """Return the degrees of freedom of the shared parameters."""
-        return dict(zip(built.shared_names, map(float, self.degrees_of_freedom), strict=True))

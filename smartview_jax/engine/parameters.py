@@ -6,11 +6,12 @@ Every number has a name, which is a path:
     base_from_world.translation.y  target_scale  robot_error.translation_by_position.0
     depth_bias.scale  pose_corrections.<view>.translation.x
 
-A path selects every name that it is a prefix of. A fit adds a step to the parameters, except for
-rotations: these are multiplied from the left by the exponential of a rotation vector, in the axes
-of the frame that the transform maps into (`R = exp(step) R_start`). Translations therefore do not
-depend on the rotation. The parameter of the target's scale is its logarithm, so that the scale
-stays positive.
+A path selects every name that it is a prefix of; `camera.pixel_aspect`, the ratio of the focal
+lengths, selects `camera.alpha_v`, in whose place it is fitted. A fit adds a step to the parameters,
+except for rotations: these are multiplied from the left by the exponential of a rotation vector, in
+the axes of the frame that the transform maps into (`R = exp(step) R_start`). Translations therefore
+do not depend on the rotation. The parameter of the target's scale is its logarithm, so that the
+scale stays positive.
 """
 
 import difflib
@@ -37,7 +38,8 @@ from ..geometry import (
 )
 from ..robot_errors import RobotError
 from ..runtime.array_namespace import array_namespace, as_float_array
-from ..runtime.modules import HostModule
+from ..runtime.modules import HostModule, with_fields
+from .pixel_aspect import aspect_of, focal_length_of, is_focal_length, with_aspect, without_aspect
 
 STEP_NAMES = tuple(f"{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz")
 """Names of the parameters of a transform, after the transform's own name."""
@@ -101,7 +103,7 @@ def parameter_mask(names: Sequence[str], paths: Iterable[str]) -> Bool[np.ndarra
     """
     selected = np.zeros(len(names), dtype=bool)
     for path in paths:
-        matches = np.array([is_selected(name, (path,)) for name in names])
+        matches = np.array([is_selected(name, (focal_length_of(path),)) for name in names])
         if not matches.any():
             raise ValueError(_unknown_path_message(path, names))
         selected |= matches
@@ -111,6 +113,7 @@ def parameter_mask(names: Sequence[str], paths: Iterable[str]) -> Bool[np.ndarra
 def _unknown_path_message(path: str, names: Sequence[str]) -> str:
     """Return the error message for a path that selects nothing, with similar names."""
     prefixes = {".".join(name.split(".")[:k]) for name in names for k in range(1, 5)}
+    prefixes |= {aspect_of(name) for name in names if is_focal_length(name)}
     prefixes = sorted(name for name in prefixes if not name.startswith(f"{POSE_CORRECTIONS}."))
     close = difflib.get_close_matches(path, prefixes, n=3, cutoff=0.4)
     hint = f"did you mean {', '.join(close)}?" if close else f"known are {', '.join(prefixes)}"
@@ -180,9 +183,19 @@ class Parameters(HostModule):
 
     Attributes:
         start: the calibration from which steps are taken.
+        fits_aspect: whether the camera's second number is the ratio of its focal lengths in the
+            place of alpha_v (see `pixel_aspect`); None if it is not.
     """
 
     start: Calibration
+    fits_aspect: Bool[Any, ""] | None = None
+
+    @property
+    def with_aspect_flag(self) -> "Parameters":
+        """The parameters with a flag in any case, so that either kind has the same program."""
+        if self.fits_aspect is not None:
+            return self
+        return with_fields(self, fits_aspect=np.array(False))
 
     @property
     def layout(self) -> ParameterLayout:
@@ -211,8 +224,9 @@ class Parameters(HostModule):
             for transform in (*transforms, start.base_from_other_base)
             if transform is not None
         )
+        camera = xp.concatenate([xp.ravel(xp.asarray(x)) for x in jax.tree.leaves(start.camera)])
         groups = [
-            *jax.tree.leaves(start.camera),
+            camera if self.fits_aspect is None else with_aspect(camera, self.fits_aspect),
             mount,
             holder,
             xp.log(xp.asarray(start.target_scale)),
@@ -226,7 +240,11 @@ class Parameters(HostModule):
         """Return the calibration and the pose corrections after a step from the start."""
         start, layout, shared = self.start, self.layout, step.shared
         camera_values, rebuild = ravel_pytree(start.camera)
-        camera = rebuild(camera_values + shared[layout.camera])
+        if self.fits_aspect is None:
+            camera = rebuild(camera_values + shared[layout.camera])
+        else:
+            fitted = with_aspect(camera_values, self.fits_aspect) + shared[layout.camera]
+            camera = rebuild(without_aspect(fitted, self.fits_aspect))
         return self._moved(camera, shared, retract_transform), step.per_view
 
     def _moved(
@@ -260,7 +278,7 @@ class Parameters(HostModule):
         start, layout = self.start, self.layout
         # Steps are differences of values, except for rotations, whose values are zero: their steps
         # are the rotation vectors between start and end.
-        step = Parameters(other).values() - self.values()
+        step = Parameters(other, self.fits_aspect).values() - self.values()
         for place, before, after in (
             (layout.mount, start.camera_from_mount, other.camera_from_mount),
             (layout.holder, start.holder_from_world, other.holder_from_world),

@@ -1,4 +1,4 @@
-"""Define Gaussian priors on single parameters, and what a fit holds, frees and assumes."""
+"""Define Gaussian priors on parameters, and what a fit holds, frees and assumes."""
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,11 +9,16 @@ from jaxtyping import Bool, Float, Int
 
 from ..argument_checks import require_instance, require_names
 from .parameters import Step, host_step, parameter_mask
+from .pixel_aspect import alpha_u_of, focal_length_of, is_aspect
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Prior:
     """A Gaussian prior on all parameters that a path selects; both numbers are given by name.
+
+    The path `camera.pixel_aspect` is the ratio of the focal lengths, `alpha_v / alpha_u`, which is
+    one within 1e-3 or better for square pixels. A standard deviation of 1e-9 makes the focal
+    lengths one, as OpenCV's CALIB_FIX_ASPECT_RATIO does.
 
     Attributes:
         std: standard deviation, in the parameter's own unit (px, m, rad, 1).
@@ -28,6 +33,10 @@ class Prior:
         ...     print(f"{1e3 * joint.std['camera_from_tool.translation.x']:.2f} mm")
         0.57 mm
         0.19 mm
+        >>> square = {"camera.pixel_aspect": sv.Prior(mean=1.0, std=1e-3)}
+        >>> joint = sv.fit_joint(data, truth, noise=noise, priors=square)
+        >>> print(f"+- {joint.std['camera.pixel_aspect']:.4f}")
+        +- 0.0002
     """
 
     std: float
@@ -70,10 +79,16 @@ class ParameterChoice(NamedTuple):
 
         Raises:
             TypeError: a prior that is not a `Prior`.
-            ValueError: a single text in place of a list of paths.
+            ValueError: a single text in place of a list of paths, or a ratio of focal lengths that
+                is to be held or freed.
         """
         require_names("fixed", fixed)
         require_names("free", free)
+        for path in filter(is_aspect, (*fixed, *free)):
+            raise ValueError(
+                f"{path!r} is neither held nor freed, but known by a prior; to hold it give "
+                f"priors={{{path!r}: Prior(mean=1.0, std=1e-9)}}"
+            )
         for path, prior in (priors or {}).items():
             require_instance(f"priors[{path!r}]", prior, Prior, "a Prior has a mean and a std")
         return cls(tuple(fixed), tuple(free), dict(priors or {}))
@@ -94,6 +109,47 @@ class ParameterChoice(NamedTuple):
         """
         is_free = ~parameter_mask(names, held) | parameter_mask(names, self.free)
         return is_free & ~parameter_mask(names, self.fixed)
+
+    def with_fitted_aspects(
+        self, names: Sequence[str], is_free: Bool[np.ndarray, "parameters"]
+    ) -> tuple["ParameterChoice", frozenset[str]]:
+        """Return each alpha_v in whose place the ratio of focal lengths is fitted.
+
+        The ratio is fitted where it has a prior. The choice is returned without the priors on
+        ratios of cameras that are held.
+
+        Args:
+            names: names of all parameters.
+            is_free: which of them are fitted.
+
+        Raises:
+            ValueError: a prior on a ratio which is not positive, or next to a prior on its alpha_v,
+                or while alpha_v alone is held.
+        """
+        fitted, state = set(), dict(zip(names, is_free.tolist(), strict=True))
+        for path in filter(is_aspect, self.priors):
+            parameter_mask(names, (path,))
+            alpha_v, mean = focal_length_of(path), self.priors[path].mean
+            others = [other for other in self.priors if other != path]
+            if mean is not None and not mean > 0.0:
+                raise ValueError(f"prior on {path!r}: a ratio is positive; found a mean of {mean}")
+            if any(f"{alpha_v}.".startswith(f"{other}.") for other in others):
+                raise ValueError(
+                    f"prior on {path!r}: give one either on the ratio of the focal lengths or on "
+                    f"{alpha_v!r}, and not on both"
+                )
+            if state[alpha_u_of(alpha_v)] and not state[alpha_v]:
+                raise ValueError(
+                    f"prior on {path!r}: {alpha_v!r} is held; hold {alpha_u_of(alpha_v)!r} instead"
+                )
+            if state[alpha_v]:
+                fitted.add(alpha_v)
+        priors = {
+            path: prior
+            for path, prior in self.priors.items()
+            if not is_aspect(path) or focal_length_of(path) in fitted
+        }
+        return self._replace(priors=priors), frozenset(fitted)
 
     def of_camera(self, name: str) -> "ParameterChoice":
         """Return the choice that concerns the lens of a rig's camera, in the camera's own names."""

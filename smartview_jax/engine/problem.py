@@ -25,6 +25,7 @@ from .abstract_problem import AbstractProblem, NormalEquations, ViewBlocks
 from .depth_equations import DepthEquations, depth_residuals, linearise_depths
 from .losses import AbstractLoss
 from .parameters import DEPTH_BIAS_NAMES, Parameters, Step
+from .pixel_aspect import FittedAspects, equations_by_aspect
 from .pose_jacobians import PoseJacobians, corrections_at_tool, linearise_poses
 from .prepared_poses import PreparedPoses, prepare_poses
 from .schur import BlockArrow
@@ -158,6 +159,12 @@ class JointProblem(AbstractProblem):
     def parameter_count(self) -> int:
         """The number of shared parameters, free or not."""
         return self.parameters.layout.size
+
+    @property
+    def fitted_aspects(self) -> FittedAspects | None:
+        """Whether the ratio of the camera's focal lengths is fitted in the place of alpha_v."""
+        fits = self.parameters.fits_aspect
+        return None if fits is None else FittedAspects(np.arange(2)[None], fits[None])
 
     @property
     def is_camera(self) -> Bool[np.ndarray, "shared"]:
@@ -373,13 +380,17 @@ class JointProblem(AbstractProblem):
                 check_vma=False,
             )
         calibration = pose_jacobians.calibration
-        return linearise_local_views(
-            calibration.camera,
+        camera, fits_aspect = calibration.camera, self.parameters.fits_aspect
+        views = linearise_local_views(
+            camera,
             pose_jacobians.camera_from_world,
             self.observations,
             calibration.target_scale,
             self.pixel_sigma,
         )
+        if fits_aspect is None:
+            return views
+        return equations_by_aspect(views, camera.alpha_u, camera.alpha_v, fits_aspect)
 
     def _apply_chain_rule(
         self, pose_jacobians: PoseJacobians, views: ViewNormalEquations

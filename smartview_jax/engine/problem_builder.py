@@ -149,11 +149,11 @@ def build_problem(
     if start.depth_bias is not None:
         choice = choice._replace(priors=TYPICAL_DEPTH_BIAS | choice.priors)
         data = data if noise_model is None else with_known_depth_noise(data, noise_model)
-    shared = Parameters(start)
-    shared_size = shared.layout.size
+    shared_size = Parameters(start).layout.size
     names = parameter_names(start, data.view_ids if noise_model else ())
     holds_error = field == "auto" and start.robot_error is not None
     is_free = choice.is_free(names, [TARGET_SCALE, *([ROBOT_ERROR] if holds_error else [])])
+    choice, aspects = choice.with_fitted_aspects(names, is_free)
     fitted_field = None if field == "auto" else field
     size = float(np.asarray(start.target_scale))
     mean, weight = prior_means_and_weights(
@@ -173,7 +173,7 @@ def build_problem(
     unprojectable = unprojectable_points(data, start)
     visible = to_device(np.asarray(data.visible) & ~unprojectable)
     problem = JointProblem(
-        parameters=shared,
+        parameters=Parameters(start, to_device(np.array(True)) if aspects else None),
         observations=with_fields(data.observations, visible=visible),
         **to_device_together(arrays),
         loss=loss_by_name(loss),

@@ -66,6 +66,12 @@ class BuiltRig(AbstractBuiltProblem):
     cameras: tuple[tuple[str, ...], ...] = eqx.field(static=True)
     camera_names: dict[str, tuple[str, ...]] = eqx.field(static=True)
 
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """The names of all shared parameters, free or not."""
+        of_cameras = self.camera_names.values()
+        return tuple(dict.fromkeys(name for of_camera in of_cameras for name in of_camera))
+
     def without_view(self, camera: str, view: int) -> RigProblem:
         """Return the problem without the points that one camera saw in one view."""
         group = next(k for k, cameras in enumerate(self.cameras) if camera in cameras)
@@ -121,12 +127,21 @@ def build_rig(
         camera: [place[name] for name in of_camera] for camera, of_camera in camera_names.items()
     }
     relative = dict.fromkeys(rig.cameras, 1.0) | dict(relative_sigmas or {})
-    groups, cameras = _grouped(
-        _with_known_depth_noise(rig, noise, relative), starts, prepared, index, relative
-    )
-
     choice = choice._replace(priors=_priors_of_depths(starts) | choice.priors)
-    table = _parameter_table(rig, names, choice, noise, field, holds_error=error is not None)
+    table, aspects = _parameter_table(
+        rig, names, choice, noise, field, holds_error=error is not None
+    )
+    fits_aspect = {
+        camera: not aspects.isdisjoint(of_camera) for camera, of_camera in camera_names.items()
+    }
+    groups, cameras = _grouped(
+        _with_known_depth_noise(rig, noise, relative),
+        starts,
+        prepared,
+        index,
+        relative,
+        fits_aspect,
+    )
     problem = RigProblem(
         groups=groups,
         command=rig.command,
@@ -170,8 +185,8 @@ def _parameter_table(
     noise: Noise,
     field: FieldChoice,
     holds_error: bool,
-) -> ParameterTable:
-    """Return all parameters of a rig, its states' corrections among them.
+) -> tuple[ParameterTable, frozenset[str]]:
+    """Return all parameters of a rig, and which alpha_v have a ratio in their place.
 
     Args:
         rig: data sets of the cameras.
@@ -185,12 +200,13 @@ def _parameter_table(
     if field == "auto" and holds_error:
         held.append(ROBOT_ERROR)
     is_free = choice.is_free(whole, held)
+    choice, aspects = choice.with_fitted_aspects(whole, is_free)
     # A state that no camera saw well enough keeps its reported pose.
     placed = np.array([len(cameras) > 0 for cameras in rig.seeing])
     is_free[size:] &= placed.repeat(6)
     fitted_field = None if field == "auto" else field
     mean, weight = prior_means_and_weights(whole, size, choice.priors, noise, fitted_field, 1.0)
-    return ParameterTable(whole, size, is_free, mean, weight)
+    return ParameterTable(whole, size, is_free, mean, weight), aspects
 
 
 def _with_known_depth_noise(rig: Rig, noise: Noise, relative_sigmas: Mapping[str, float]) -> Rig:
@@ -308,6 +324,7 @@ def _grouped(
     prepared: PreparedPoses | None,
     index: Mapping[str, list[int]],
     relative_sigmas: Mapping[str, float],
+    fits_aspect: Mapping[str, bool],
 ) -> tuple[tuple[CameraGroup, ...], tuple[tuple[str, ...], ...]]:
     """Stack the cameras by kind of lens and mount; return the groups and their cameras' names."""
     by_kind: dict[object, list[str]] = {}
@@ -325,7 +342,12 @@ def _grouped(
             states.append(states_of_views)
             problems.append(
                 _camera_alone(
-                    rig, camera, starts[camera], prepared, relative_sigmas[camera], (views, points)
+                    rig,
+                    camera,
+                    Parameters(starts[camera], np.array(fits_aspect[camera])),
+                    prepared,
+                    relative_sigmas[camera],
+                    (views, points),
                 )
             )
         places = np.array([index[camera] for camera in cameras])
@@ -338,14 +360,15 @@ def _grouped(
 def _camera_alone(
     rig: Rig,
     camera: str,
-    start: Calibration,
+    parameters: Parameters,
     prepared: PreparedPoses | None,
     sigma: float,
     shape: tuple[int, int],
 ) -> JointProblem:
     """Return the problem of one camera, padded to a number of views and points."""
-    data, parameters, (views, points) = rig.cameras[camera], Parameters(start), shape
-    visible = to_device(np.asarray(data.visible) & ~unprojectable_points(data, start))
+    data, (views, points) = rig.cameras[camera], shape
+    unprojectable = unprojectable_points(data, parameters.start)
+    visible = to_device(np.asarray(data.visible) & ~unprojectable)
     observations = eqx.tree_at(lambda o: o.visible, data.observations, visible)
     of_views = jax.tree.map(lambda x: np.asarray(x)[rig.state_index[camera]], prepared)
     size = parameters.layout.size

@@ -22,6 +22,7 @@ from ..runtime.array_namespace import AnyArray
 from ..runtime.modules import HostModule
 from .abstract_problem import AbstractRigProblem, NormalEquations, ViewBlocks
 from .parameters import Step
+from .pixel_aspect import FittedAspects, joined_aspects
 from .prepared_poses import PreparedPoses, prepare_poses
 from .problem import FittedChain, JointProblem
 from .schur import BlockArrow
@@ -87,6 +88,13 @@ class RigProblem(AbstractRigProblem):
     def parts(self) -> list[Any]:
         """The problems of the cameras, stacked by kind."""
         return [group.problems for group in self.groups]
+
+    @property
+    def fitted_aspects(self) -> FittedAspects | None:
+        """The cameras whose ratio of focal lengths is fitted in the place of alpha_v."""
+        groups = [(g.parameter_index, g.problems.parameters.fits_aspect) for g in self.groups]
+        fitted = [(np.asarray(index)[:, :2], fits) for index, fits in groups if fits is not None]
+        return joined_aspects([FittedAspects(*of_group) for of_group in fitted])
 
     def start_values(self) -> Float[Array, "shared"]:
         """Return the values of the shared parameters at the start."""

@@ -150,6 +150,7 @@ def padded(problem: _Problem) -> _Problem:
 
     return with_fields(
         problem,
+        parameters=problem.parameters.with_aspect_flag,
         observations=observations,
         prepared_poses=repeat_last(problem.prepared_poses, views),
         correction_roots=_padded_roots(problem, views),

@@ -197,10 +197,11 @@ def _solve_one(problem: JointProblem, sigma_known: bool, sigma_iterations: int) 
     # Covariance f R^-1, with the reduced matrix R = A - sum_v B_v^T C_v^-1 B_v of the arrow-shaped
     # normal equations [[A, B^T], [B, C]]: pose corrections eliminated view by view.
     factor = 1.0 if sigma_known else _variance_factor(problem, z, equations)
+    covariance = factor * _inverse(eliminate(equations.matrix).schur_complement)
     return (
         calibration,
         corrections,
-        factor * _inverse(eliminate(equations.matrix).schur_complement),
+        problem.covariance_by_names(z, covariance),
         equations.cost,
         steps,
         is_converged(predicted_decrease, equations.cost),

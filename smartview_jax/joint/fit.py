@@ -21,9 +21,10 @@ from ..runtime.modules import with_fields
 from ..staged import with_region
 from .consistent_views import fit_consistent_views
 from .gross_errors import remove_gross_errors, without_views
-from .held_parameters import HeldValueTest, held_value_test
+from .held_parameters import held_value_test
 from .joint_fit import JointFit
 from .plausibility import plausibility_warnings
+from .refit import HeldValueTest
 from .undetermined import require_moving_robot
 from .view_fit import FitOptions
 
@@ -87,7 +88,8 @@ def fit_joint(
             estimated from the residuals.
         fixed: paths of parameters that keep the start's value.
         free: paths to free that are held by default: `"target_scale"`.
-        priors: a `Prior` by path.
+        priors: a `Prior` by path; `camera.pixel_aspect` is the ratio of the focal lengths, one for
+            square pixels.
         solver: any optimistix least-squares solver; by default `StructuredLM`.
         devices: devices over which the views are distributed, such as `jax.devices()`, also of
             other processes; by default the fit runs on one.

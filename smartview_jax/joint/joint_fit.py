@@ -21,7 +21,7 @@ from ..engine import (
 )
 from ..fit_result import FitResult, Rejection
 from ..runtime.compilation import is_traced
-from ..runtime.modules import HostModule
+from ..runtime.modules import HostModule, with_fields
 from ..variance import NoiseEstimate, p_value
 from .fit_text import fit_html, fit_line, fit_text, noise_text, points_and_residual
 from .influence import Influence, deletion_changes
@@ -224,7 +224,11 @@ def view_influence(fit: JointFit) -> Influence:
         >>> print(f"view {data.view_ids[np.argmax(change)]}: {change.max():.1f} std")
         view 5: 1.1 std
     """
-    changes = np.asarray(deletion_changes(fit.problem, fit.solution.z))
+    problem, z = fit.problem, fit.solution.z
+    flagged = with_fields(problem, parameters=problem.parameters.with_aspect_flag)
+    changes, by_fitted = np.asarray(deletion_changes(flagged, z)), problem.host_named_by_fitted(z)
+    if by_fitted is not None:
+        changes = changes @ by_fitted.T
     std = np.array([fit.std[name] for name in fit.parameter_names])
     mount_path = fit.calibration.transform_names[0]
     return Influence(changes, std, fit.parameter_names, fit.view_ids, mount_path)

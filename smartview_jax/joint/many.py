@@ -31,6 +31,7 @@ from ..engine import (
 from ..fit_result import Rejection
 from ..robot_errors import FieldChoice, checked_field_choice
 from ..runtime.array_namespace import stacked_on_device, to_device
+from ..runtime.modules import with_fields
 from ..runtime.padding import padded_counts
 from .batched_fits import (
     FITS_AXIS,
@@ -234,19 +235,20 @@ def _solve_group(
 ) -> tuple[_Result, Bool[np.ndarray, "fits views"]]:
     """Solve the problems of one shape; return their stacked results and unprojectable views."""
     numbers, built = list(group), next(iter(built_by_views.values()))
+    problem = with_fields(built.problem, parameters=built.problem.parameters.with_aspect_flag)
     sigma_iterations = SIGMA_ITERATIONS if built.depends_on_sigma and not built.sigma_known else 0
 
     def inputs(row: int) -> PerFitInputs:
         k = numbers[row]
-        problem = built_by_views[_usable(group[k])].problem
-        return starts[k], group[k].observations, problem.per_view_free
+        usable = built_by_views[_usable(group[k])].problem.per_view_free
+        return starts[k], group[k].observations, usable
 
     *results, unprojectable = in_batches(
         inputs,
         len(numbers),
         batch_size(len(numbers), 1 if mesh is None else mesh.size),
         lambda stacked, count: solve_all(
-            eqx.tree_at(per_fit_inputs, built.problem, stacked),
+            eqx.tree_at(per_fit_inputs, problem, stacked),
             count,
             built.sigma_known,
             sigma_iterations,

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..calibration import SHAPE_NAMES, Calibration
-from ..engine import DEPTH_BIAS_NAMES, ROBOT_ERROR
+from ..engine import DEPTH_BIAS_NAMES, PIXEL_ASPECT, ROBOT_ERROR
 from ..geometry import host_logarithms, host_matrices
 from ..robot_errors import nominal_arm
 
@@ -40,7 +40,11 @@ def parameter_estimates(fit: "JointFit") -> tuple[ParameterEstimate, ...]:
     single coefficients have no meaning.
     """
     estimates, whole_stds = [], whole_error_stds(fit)
-    for name, (value, factor, unit) in _values_with_units(fit.calibration).items():
+    values = list(_values_with_units(fit.calibration).items())
+    if PIXEL_ASPECT in fit.std:
+        # After both focal lengths.
+        values.insert(2, (PIXEL_ASPECT, (pixel_aspect(fit.calibration), 1.0, "")))
+    for name, (value, factor, unit) in values:
         # Pose corrections are in `std` too, but only common parameters have an interval.
         std = half_width = None
         if name in fit.std:
@@ -51,6 +55,12 @@ def parameter_estimates(fit: "JointFit") -> tuple[ParameterEstimate, ...]:
             std, half_width = unit_size * fit.std[name], unit_size * fit.confidence_half_width(name)
         estimates.append(ParameterEstimate(name, factor * value, unit, std, half_width))
     return tuple(estimates)
+
+
+def pixel_aspect(calibration: Calibration) -> float:
+    """Return the ratio of the focal lengths, alpha_v / alpha_u."""
+    camera = calibration.camera
+    return float(camera.alpha_v) / float(camera.alpha_u)
 
 
 def whole_error_stds(fit: "JointFit") -> dict[str, float]:

@@ -205,6 +205,9 @@ def fit_poses(
     require_names("fixed", fixed)
     field, report = checked_field_choice(field), progress or (lambda _: None)
     data = _as_pairs(samples)
+    for path in priors or ():
+        if path.split(".")[0] == "camera":
+            raise ValueError(f"prior on {path!r}: tracked poses have no camera that is fitted")
     if (count := int(data.seen.sum())) < 3:
         raise ValueError(f"samples: expected at least 3 pairs of poses, found {count}")
     if data.states_covariance and tracker_prior is not None:

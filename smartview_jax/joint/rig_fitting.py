@@ -45,6 +45,7 @@ from .open_directions import OpenDirections
 from .plausibility import MIN_SCALE_PROBABILITY, principal_point_warnings
 from .rig_fit import RigFit
 from .several_arms import JoinedArms, added_by_estimation, join_arms
+from .stated_priors import stated_prior_test
 from .told_by_others import with_told_by_others
 from .undetermined_motion import UndeterminedMotion
 from .undetermined_rig import undetermined_motion_of_rig
@@ -85,7 +86,8 @@ def fit_rig(
             noise is estimated on the default device.
         parameters: `fixed`, paths of parameters that keep the start's value, such as `left.camera`
             or `base_from_world` (see `build_rig`, and `build_arms` for several arms); `free`, paths
-            to free that are held by default: `target_scale`; `priors`, a `Prior` by path.
+            to free that are held by default: `target_scale`; `priors`, a `Prior` by path, such as
+            `left.camera.pixel_aspect` for the square pixels of one camera.
 
     Raises:
         TypeError: an argument of a wrong type.
@@ -118,7 +120,9 @@ def fit_rig(
             ),
             _named(progress, arm) if several else progress,
         )
-    joined, tests = None, [held_camera_test(arm.judged or arm) for arm in arms.values()]
+    judged = [arm.judged or arm for arm in arms.values()]
+    joined = None
+    tests = [test(arm) for arm in judged for test in (held_camera_test, stated_prior_test)]
     if several:
         joined = join_arms(rig, arms, choice.priors, devices)
         motion = _undetermined_motion(rig, arms, starts, choice, joined.bases)
@@ -173,6 +177,7 @@ def _assembled(
     first = next(iter(arms.values()))
     together = joined or first
     built, solution, equations = together.built, together.solution, together.equations
+    by_fitted = built.problem.host_named_by_fitted(solution.z)
     # The noise is stated or estimated: the variance factor is one.
     uncertainty, correction = FitCovariance.of(equations.matrix), None
     estimated = (
@@ -182,7 +187,13 @@ def _assembled(
     )
     if estimated is not None:
         added, correction = estimated
+        if by_fitted is not None:
+            added = by_fitted @ added @ by_fitted.T
+            correction = correction.by_names(by_fitted, uncertainty.shared)
+        uncertainty = uncertainty.by_names(by_fitted)
         uncertainty = uncertainty.with_added(added, correction.degrees_of_freedom)
+    else:
+        uncertainty = uncertainty.by_names(by_fitted)
     cameras: dict[str, _CameraFit] = {}
     chains = (solution.chain,) if joined is None else solution.chain
     for arm, of_cameras in zip(arms.values(), chains, strict=True):

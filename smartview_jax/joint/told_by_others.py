@@ -43,8 +43,7 @@ def with_told_by_others(arm: SolvedArm, held: Collection[str]) -> SolvedArm:
 
 def _with_free(built: BuiltRig, names: Collection[str]) -> tuple[BuiltRig, list[int]]:
     """Return a problem with more free parameters, and the rows among all free ones of the old."""
-    of_cameras = built.camera_names.values()
-    every = tuple(dict.fromkeys(name for of_camera in of_cameras for name in of_camera))
+    every = built.parameter_names
     free = tuple(name for name in every if name in built.shared_names or name in names)
     index = np.array([every.index(name) for name in free])
     problem, scale = built.problem, built.problem.scale

@@ -224,7 +224,7 @@ def _assemble_fit(
     problem, chain = built.problem, solution.chain
     squares = squared_residuals(problem, chain)
     factor = 1.0 if built.sigma_known else float(variance_factor(problem, squares))
-    uncertainty = _uncertainty(built, equations, factor, noise_estimate)
+    uncertainty = _uncertainty(built, solution.z, equations, factor, noise_estimate)
     shape_std, shape_freedom = _shape_uncertainty(noise_estimate)
     calibration = _fitted_calibration(chain.calibration, noise_estimate, shape)
     corrections = chain.pose_corrections
@@ -256,6 +256,7 @@ def _assemble_fit(
 
 def _uncertainty(
     built: BuiltProblem,
+    z: Step,
     equations: NormalEquations,
     variance_factor: float,
     noise_estimate: NoiseEstimate | None,
@@ -265,7 +266,8 @@ def _uncertainty(
     Estimated variance components add the Kenward-Roger term and finite degrees of freedom, and
     uncertainty between models adds a covariance.
     """
-    uncertainty = FitCovariance.of(equations.matrix, variance_factor)
+    by_fitted = built.problem.host_named_by_fitted(z)
+    uncertainty = FitCovariance.of(equations.matrix, variance_factor).by_names(by_fitted)
     if noise_estimate is None:
         return uncertainty
     small_sample = noise_estimate.correction_of(built.shared_names)

@@ -62,6 +62,20 @@ class SmallSampleCorrection(NamedTuple):
             covariance_derivatives=self.covariance_derivatives[:, *pairs],
         )
 
+    def by_names(
+        self,
+        named_by_fitted: Float[np.ndarray, "named shared"],
+        covariance: Float[np.ndarray, "shared shared"],
+    ) -> "SmallSampleCorrection":
+        """Return the correction of the parameters as they are named.
+
+        Args:
+            named_by_fitted: derivative of the named parameters by the fitted ones.
+            covariance: covariance of the fitted parameters without the correction.
+        """
+        variance = np.diagonal(named_by_fitted @ covariance @ named_by_fitted.T)
+        return joined_corrections([(self, named_by_fitted)], variance)
+
 
 def small_sample_correction(
     views: LinearisedViews,

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import block_diag
 
 from ..calibration import SHAPE_NAMES, Calibration, TargetShape
 from ..engine import TARGET_SCALE, Noise, Prior
@@ -177,6 +178,34 @@ class NoiseEstimate(NamedTuple):
         if self.target_scale_std is None:
             return {}
         return {TARGET_SCALE: Prior(std=self.target_scale_std * float(start.target_scale))}
+
+    def by_names(
+        self,
+        named_by_fitted: Float[np.ndarray, "fitted fitted"],
+        covariance: Float[np.ndarray, "shared shared"],
+    ) -> "NoiseEstimate":
+        """Return the estimate with all covariances by the parameters as they are named.
+
+        Args:
+            named_by_fitted: derivative of the fit's parameters as they are named by those fitted.
+            covariance: covariance of all fitted parameters, with those of the target's shape.
+        """
+        shape_count = len(covariance) - len(named_by_fitted)
+        by_fitted = np.asarray(block_diag(named_by_fitted, np.eye(shape_count)))
+
+        def by_names(matrix: Float[np.ndarray, "shared shared"]) -> np.ndarray:
+            """Return a covariance by the parameters as they are named."""
+            return by_fitted @ matrix @ by_fitted.T
+
+        lens, shape = self.lens, self.target_shape
+        return self._replace(
+            small_sample_correction=self.small_sample_correction.by_names(by_fitted, covariance),
+            between_models_covariance=by_names(self.between_models_covariance),
+            lens=None if lens is None else lens._replace(covariance=by_names(lens.covariance)),
+            target_shape=None
+            if shape is None
+            else shape._replace(by_shape=by_fitted @ shape.by_shape),
+        )
 
     def correction_of(self, names: Sequence[str]) -> SmallSampleCorrection:
         """Return the small-sample correction for a subset of the parameters."""

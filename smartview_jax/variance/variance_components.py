@@ -141,7 +141,7 @@ def _estimate_of(
             built, linearised, average.z, average.fitted, average.probabilities
         )
         scale_std = float(maximum.sigmas.field[views.group_names.index(TARGET_SCALE)])
-    return NoiseEstimate(
+    estimate = NoiseEstimate(
         max(second.field_probabilities, key=lambda name: second.field_probabilities[name]),
         averaged_noise(average, views, fitted_field, prior),
         fitted_field,
@@ -176,6 +176,11 @@ def _estimate_of(
         first.evidence,
         average.directions,
     )
+    by_fitted = built.problem.host_named_by_fitted(average.z)
+    if by_fitted is None:
+        return estimate
+    covariance = np.asarray(marginalise(linearised, maximum.sigmas).shared_covariance)
+    return estimate.by_names(by_fitted, covariance)
 
 
 def _target_shape_estimate(

@@ -20,12 +20,21 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..dataset import Dataset, Observations
-from ..engine import JointProblem, Noise, ParameterOptions, Step, build_problem, padded
+from ..engine import (
+    JointProblem,
+    Noise,
+    ParameterOptions,
+    Parameters,
+    Step,
+    build_problem,
+    padded,
+)
 from ..geometry import look_at, transform_points
 from ..robot_errors import FieldChoice, nominal_arm
 from ..robots import Command, JointsLike
 from ..runtime.array_namespace import as_float_array, to_device
 from ..runtime.compilation import compiled_optimised, is_traced, one_program
+from ..runtime.modules import with_fields
 from ..runtime.padding import MIN_PADDED_VIEWS, in_batches, padded_counts, repeat_last
 from .checks import border_distance
 
@@ -102,9 +111,10 @@ class InformationModel(eqx.Module):
         if not isinstance(noise, Noise):
             sigma = to_device(float(noise))
             problem = eqx.tree_at(lambda p: p.pixel_sigma, problem, sigma)
-        # Prior information is the square of the weight on each free parameter.
         near_joints = None if arm is None or near is None else as_float_array(near)
-        prior = to_device(np.diag(problem.host_prior_weight**2))
+        prior = to_device(problem.host_prior_information())
+        # All matrices are by the parameters as they are named.
+        problem = with_fields(problem, parameters=Parameters(problem.parameters.start))
         model = cls(problem, target, prior, near_joints, built.shared_names)
         if previous_data is None:
             return model

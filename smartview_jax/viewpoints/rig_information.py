@@ -86,8 +86,9 @@ class RigInformationModel:
             **parameters,
         )
         built = build(rig)
-        # Prior information is the square of the weight on each free parameter.
-        prior = to_device(np.diag(built.problem.host_prior_weight**2))
+        prior = to_device(built.problem.host_prior_information())
+        # The information of all views is by the parameters as they are named.
+        build = functools.partial(build, priors=None)
         return cls(rig, dict(calibrations), build, prior, built.shared_names)
 
     @classmethod

@@ -16,6 +16,7 @@ from two_hands_scene import KNOWN, hands_fit, hands_rig
 from typer.testing import CliRunner
 
 from smartview_jax import (
+    Prior,
     Rig,
     compare,
     load_dataset,
@@ -152,20 +153,24 @@ def test_folders_of_the_cameras_are_one_rig(rig, folders):
 def test_cameras_and_starts_may_be_known(rig, fit, tmp_path, monkeypatch):
     """The fit and the fits of the folds hold the cameras, and have the starts."""
     fit.calibrations["camera2"].save(tmp_path / "camera2.yaml")
-    held, starts = [], []
+    held, starts, told = [], [], []
 
-    def known_fit(part, lens, camera, start, progress=None):
+    def known_fit(part, lens, camera, start, priors, progress=None):
         held.append(camera)
         starts.append(start)
+        told.append(priors)
         return fit
 
     monkeypatch.setattr("smartview_jax.calibrate", known_fit)
     given = ["camera1.camera_from_tool=0,0,0.1,0,0,0"]
-    settings = CalibrateSettings(known=FitKnowledge(camera=tmp_path, start=given))
+    square = ["camera.pixel_aspect=1+-0.001"]
+    settings = CalibrateSettings(known=FitKnowledge(camera=tmp_path, start=given, prior=square))
     result = fitted_rig(rig, "cell", settings, lambda _: None)
     assert len(held) == 6
     assert all(set(start) == {"camera1"} for start in starts)
     assert "start given for camera1" in result.notes
+    assert told == [{"camera1.camera.pixel_aspect": Prior(mean=1.0, std=1e-3)}] * 6
+    assert "given: --prior camera.pixel_aspect=1+-0.001" in result.notes
     (name,) = held[0]
     assert name == "camera2"
     assert all(eqx.tree_equal(known, held[0]) for known in held)

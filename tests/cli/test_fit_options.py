@@ -9,9 +9,14 @@ import pytest
 from board_scene import LENS, board_folder, run, single_tag_folder
 from jaxlie import SE3, SO3
 
-from smartview_jax import Calibration, load_dataset
+from smartview_jax import Calibration, Prior, load_dataset
 from smartview_jax.cameras import Fisheye, OpenCV4
-from smartview_jax.cli.fit_options import FitKnowledge, parse_fit_options, parse_rig_start
+from smartview_jax.cli.fit_options import (
+    FitKnowledge,
+    parse_fit_options,
+    parse_rig_aspects,
+    parse_rig_start,
+)
 from smartview_jax.files import read_yaml
 from smartview_jax.geometry import host_logarithms, host_matrices
 from smartview_jax.io import read_camera, ros_camera_info
@@ -124,6 +129,26 @@ def test_numbers_are_in_the_units_that_stand_behind_them(tmp_path):
     assert found["camera_from_tool.rotation"].mean is None
 
 
+def test_square_pixels_are_a_number_without_a_unit():
+    told = {"camera.pixel_aspect": Prior(mean=1.0, std=1e-3)}
+    assert options(prior=["camera.pixel_aspect=1+-0.001"]).priors == told
+
+
+def test_square_pixels_of_all_cameras_of_a_rig_or_of_one():
+    texts = ["camera.pixel_aspect=1+-0.001", "left.camera.pixel_aspect=+-0.0001"]
+    assert parse_rig_aspects(texts, ["left", "right", "top"], ["top"]) == {
+        "left.camera.pixel_aspect": Prior(std=1e-4),
+        "right.camera.pixel_aspect": Prior(mean=1.0, std=1e-3),
+    }
+    for text, words in (
+        ("top.camera.pixel_aspect=1+-0.1", "did you mean"),
+        ("left.camera.u0=1+-1px", "did you mean"),
+        ("left.camera.alpha_v=1+-1", "only camera.pixel_aspect has a prior"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            parse_rig_aspects([text], ["left", "right", "top"], ["top"])
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [
@@ -134,6 +159,8 @@ def test_numbers_are_in_the_units_that_stand_behind_them(tmp_path):
         ({"prior": ["camera.u0=640"]}, r"--prior camera.u0: expected VALUE\+-SIGMA"),
         ({"prior": ["camera.u0=640+-0px"]}, "expected a positive SIGMA, found 0"),
         ({"prior": ["camera_from_tool=1+-1mm"]}, "it has several units"),
+        ({"prior": ["camera.pixel_aspect=1+-0.001px"]}, "expected a unit, none"),
+        ({"fixed": ["camera.pixel_aspect"]}, "--fixed, --free: 'camera.pixel_aspect' is neither"),
         ({"prior": ["camera_from_tool.rotation.x=1+-1deg"]}, "centred on its start"),
         ({"prior": ["nowhere.yaml"]}, "expected NAME=VALUE.* or a YAML file; found 'nowhere.yaml'"),
         ({"prior": ["camera.u0=1+-1px"], "fixed": ["camera"]}, "--prior camera.u0: it is held by"),

@@ -172,3 +172,21 @@ def test_both_numbers_of_a_prior_have_names():
     """`Prior(950.0, 1.0)` would be a standard deviation of 950."""
     with pytest.raises(TypeError):
         Prior(950.0, 1.0)
+
+
+def test_pixels_that_are_not_square_are_named_and_widen_the_mount(scene):
+    """The pictures tell the ratio of the focal lengths to some 2e-4, and it is not 1.02."""
+    told = {"camera.pixel_aspect": Prior(mean=1.02, std=1e-3)}
+    fit = fit_joint(scene.data, start_with(scene), noise=NOISE, priors=told)
+    (text,) = contradictions(fit)
+    assert "the prior on camera.pixel_aspect, 1.02 +- 0.001: estimated" in text
+    value, std = value_and_std(text, "estimated")
+    assert abs(value - 1.0) < 4.0 * std < 4e-3
+    assert standardised_error(fit, scene) < 3.0
+    # What is stated for alpha_u and alpha_v follows the ratio's error, too.
+    camera, rows = fit.calibration.camera, [0, 1]
+    error = np.array([float(camera.alpha_u), float(camera.alpha_v)]) - 500.0
+    assert error @ np.linalg.solve(fit.covariance[np.ix_(rows, rows)], error) < 9.0
+    told = {"camera.pixel_aspect": Prior(mean=1.0, std=1e-3)}
+    fit = fit_joint(scene.data, start_with(scene), noise=NOISE, priors=told)
+    assert contradictions(fit) == []

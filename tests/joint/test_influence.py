@@ -73,6 +73,16 @@ def test_moves_are_those_of_refits(scene, noise):
         )
 
 
+def test_square_pixels_stay_square_without_a_view(scene, fit):
+    square = {"camera.pixel_aspect": Prior(mean=1.0, std=1e-9)}
+    start = nudged(scene.calibration)
+    changes = view_influence(fit_joint(scene.data, start, noise=NOISE, priors=square))
+    assert changes.parameter_names == fit.parameter_names
+    alpha_u, alpha_v = changes.deletion_changes[:, :2].T
+    np.testing.assert_allclose(alpha_v, alpha_u, rtol=1e-4)
+    assert np.abs(alpha_u).max() > 0.1
+
+
 def test_by_default_it_is_on_the_mount_whatever_it_is_called(fit):
     found = view_influence(fit)
     np.testing.assert_array_equal(

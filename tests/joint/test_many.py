@@ -125,6 +125,20 @@ def test_priors_and_losses_weigh_as_in_one_fit_and_a_lens_may_be_asked_for(scene
     )
 
 
+def test_square_pixels_are_known_as_in_one_fit(scenes):
+    start, noise = nudged(paper_calibration()), Noise(0.15, 1e-4, 2e-4)
+    told = {"camera.pixel_aspect": Prior(mean=1.0, std=1e-5)}
+    together = fit_many(scenes[1:], start, noise=noise, priors=told)
+    for k in range(2):
+        alone = fit_joint(scenes[1 + k], start, noise=noise, priors=told)
+        std = np.sqrt(np.diag(alone.covariance))
+        difference = (together.covariance[k] - alone.covariance) / np.outer(std, std)
+        assert np.abs(difference).max() < 1e-4
+        camera = together[k].camera
+        assert float(camera.alpha_v / camera.alpha_u) == pytest.approx(1.0, abs=4e-5)
+        assert std[1] == pytest.approx(std[0], rel=1e-3)
+
+
 def test_what_priors_cost_is_no_scatter_of_pixels(scenes, monkeypatch):
     """Priors that contradict the pixels add to the cost; the pixels' variance leaves them out.
 

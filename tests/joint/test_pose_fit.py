@@ -238,6 +238,8 @@ def test_a_start_is_checked_and_taken(fit):
     np.testing.assert_allclose(mount_error(again), mount_error(fit), atol=1e-7)
     with pytest.raises(ValueError, match="expected camera_from_tool or base_from_world"):
         sv.fit_poses(data_of(0), start={"tool_from_camera": rough})
+    with pytest.raises(ValueError, match="tracked poses have no camera that is fitted"):
+        sv.fit_poses(data_of(0), priors={"camera.pixel_aspect": sv.Prior(mean=1.0, std=1e-3)})
     with pytest.raises(ValueError, match=r"ratio_median: expected a positive number, found 0"):
         TrackerPrior(ratio_median=0.0)
 

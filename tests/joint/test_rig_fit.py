@@ -15,6 +15,7 @@ from smartview_jax import (
     Calibration,
     Camera,
     Noise,
+    Prior,
     Rig,
     calibrate,
     fit_joint,
@@ -99,6 +100,42 @@ def test_a_known_camera_that_the_pictures_contradict_is_named():
     )
     assert true.warnings == ()
     assert true.contradicted_covariance is None
+
+
+def test_square_pixels_are_known_as_in_the_fit_of_one_camera():
+    data, start = scene_of(0, translation_noise=1e-4).data, nudged(paper_calibration())
+    told = Prior(mean=1.0, std=1e-4)
+    alone = fit_joint(data, start, noise=NOISE, priors={"camera.pixel_aspect": told})
+    rig = fit_rig(
+        Rig({"only": data}),
+        {"only": start},
+        noise=NOISE,
+        priors={"only.camera.pixel_aspect": told},
+    )
+    std = np.sqrt(np.diag(alone.covariance))
+    difference = (rig.covariance - alone.covariance) / np.outer(std, std)
+    assert np.abs(difference).max() < 1e-6
+    assert rig.std["only.camera.pixel_aspect"] == pytest.approx(
+        alone.std["camera.pixel_aspect"], rel=1e-6
+    )
+    camera, other = rig.calibrations["only"].camera, alone.calibration.camera
+    assert float(camera.alpha_v) == pytest.approx(float(other.alpha_v), abs=1e-6)
+    parts = sum(covariance_by_cause(rig).values(), np.zeros_like(rig.covariance))
+    assert np.abs((parts - rig.covariance) / np.outer(std, std)).max() < 1e-6
+    assert rig.warnings == ()
+    wrong = fit_rig(
+        Rig({"only": data}),
+        {"only": start},
+        noise=NOISE,
+        priors={"only.camera.pixel_aspect": Prior(mean=1.02, std=1e-4)},
+    )
+    told = {"camera.pixel_aspect": Prior(mean=1.02, std=1e-4)}
+    alone = fit_joint(data, start, noise=NOISE, priors=told)
+    expected = next(text for text in alone.warnings if "contradict the prior" in text)
+    text = next(text for text in wrong.warnings if "contradict the prior" in text)
+    assert text.replace("only.", "") == expected
+    for name in alone.parameter_names[:5]:
+        assert wrong.std[f"only.{name}"] == pytest.approx(alone.std[name], rel=1e-3)
 
 
 def test_cameras_of_one_arm_know_it_better_together(scene, fit):

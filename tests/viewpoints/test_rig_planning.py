@@ -7,7 +7,7 @@ import pytest
 from calibrated_rig import calibrated_rig, rig_scene
 from jaxlie import SE3
 
-from smartview_jax import Noise, Rig, choose_views, cramer_rao
+from smartview_jax import Noise, Prior, Rig, choose_views, cramer_rao
 from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms
 from smartview_jax.robot_errors import JointOffsets, RobotError
 from smartview_jax.robots import six_axes
@@ -105,6 +105,25 @@ def test_one_camera_is_planned_as_alone(commands):
     np.testing.assert_allclose(chosen.cumulative_criterion, views.cumulative_criterion, rtol=1e-9)
     assert chosen.unit == "m"
     assert chosen.view_ids == tuple(str(k) for k in chosen.states)
+
+
+def test_square_pixels_are_known_before_the_first_view(commands):
+    """As one row for alpha_u and alpha_v; the information of views stays the same."""
+    camera, square = TRUTH.camera, Prior(mean=1.0, std=3e-4)
+    told = {"camera.pixel_aspect": square}
+    plain = InformationModel.from_calibration(TRUTH, POINTS, NOISE)
+    alone = InformationModel.from_calibration(TRUTH, POINTS, NOISE, priors=told)
+    row = np.zeros(len(alone.parameter_names))
+    row[:2] = -float(camera.alpha_v) / float(camera.alpha_u) ** 2, 1.0 / float(camera.alpha_u)
+    known = np.outer(row, row) / square.std**2
+    np.testing.assert_allclose(alone.prior_information, known, atol=1e-9)
+    poses = TRUTH.camera_from_world(commands)
+    np.testing.assert_array_equal(alone.information(poses), plain.information(poses))
+    rig, plain = of_cameras({"only": TRUTH}, commands)
+    told = {"only.camera.pixel_aspect": square}
+    model = RigInformationModel.from_calibrations({"only": TRUTH}, rig, NOISE, priors=told)
+    np.testing.assert_allclose(model.prior_information[:2, :2], known[:2, :2], atol=1e-9)
+    np.testing.assert_array_equal(model.information(rig), plain.information(rig))
 
 
 def _named(camera, names):

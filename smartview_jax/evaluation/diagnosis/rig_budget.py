@@ -180,6 +180,10 @@ def covariance_by_cause(fit: RigFit) -> dict[str, Float[np.ndarray, "free free"]
     parts = {cause: known @ inner @ known for cause, inner in precisions.items()}
     # The pixels' part is what remains of P, as P is the inverse of the sum of all precisions.
     parts[PIXEL_NOISE] = known - np.sum(list(parts.values()), axis=0)
+    by_fitted = problem.host_named_by_fitted(fit.solution.z)
+    if by_fitted is not None:
+        known = by_fitted @ known @ by_fitted.T
+        parts = {cause: by_fitted @ part @ by_fitted.T for cause, part in parts.items()}
     if fit.contradicted_covariance is not None:
         known = known + fit.contradicted_covariance
         parts[CONTRADICTED_VALUES] = fit.contradicted_covariance

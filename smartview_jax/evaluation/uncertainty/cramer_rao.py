@@ -23,6 +23,7 @@ from ...engine import (
     build_problem,
     build_rig,
     covariance,
+    covariance_by_names,
     eliminate,
     observability,
     padded,
@@ -171,7 +172,10 @@ def _bound(
     free = len(built.problem.free)
     reduced, column_norms = jax.tree.map(np.asarray, _information_matrix(padded(built.problem)))
     scaled_jacobian = ScaledJacobian(reduced[:free, :free], column_norms[:free])
-    bound_covariance, std = covariance(scaled_jacobian, 1.0)
+    bound_covariance, std = covariance_by_names(
+        *covariance(scaled_jacobian, 1.0),
+        built.problem.host_named_by_fitted(built.problem.zero_step()),
+    )
     by_name = dict(zip(built.shared_names, map(float, std), strict=True))
     return scaled_jacobian, bound_covariance, by_name
 

@@ -26,6 +26,7 @@ from smartview_jax.simulation.scenes import reported_poses
 
 NOISE = Noise(0.15, 1e-4, float(np.deg2rad(0.01)))
 RUNS = 256
+MOUNT = "camera_from_tool.translation"
 
 
 @pytest.fixture(scope="module")
@@ -171,3 +172,48 @@ def test_a_rigs_robot_has_the_known_error_of_its_calibrations(fitted_rig):
         np.testing.assert_allclose(np.asarray(own)[0], expected, rtol=1e-12)
     with pytest.raises(ValueError, match="error in 'right' is another than in 'left'"):
         cramer_rao(erring | {"right": truths["right"]}, rig, noise)
+
+
+def test_square_pixels_are_as_certain_as_fits_say_and_are(setting):
+    """Cameras whose ratio of focal lengths scatters as a prior says; all of a fit has its size."""
+    scene, free = setting
+    std, centre = 3e-4, float(scene.calibration.camera.v0)
+    told = {"camera.pixel_aspect": Prior(mean=1.0, std=std)}
+    bound = cramer_rao(scene.calibration, scene.data, NOISE, priors=told)
+    # By the formula of a linear measurement: the bound without the prior, given the ratio.
+    camera, covariance = scene.calibration.camera, free.covariance
+    alpha_u, alpha_v = float(camera.alpha_u), float(camera.alpha_v)
+    row = np.zeros(len(covariance))
+    row[:2] = -alpha_v / alpha_u**2, 1.0 / alpha_u
+    gain = covariance @ row / (row @ covariance @ row + std**2)
+    given = covariance - np.outer(gain, row @ covariance)
+    scale = np.sqrt(np.diagonal(given))
+    np.testing.assert_allclose(
+        bound.covariance / np.outer(scale, scale), given / np.outer(scale, scale), atol=1e-6
+    )
+    poses, pixels, drawn, ratios = scene.data.base_from_tool, scene.data.pixels, [], []
+    for seed in range(RUNS // 2):
+        rng = np.random.default_rng(seed)
+        ratios.append(1.0 + std * rng.standard_normal())
+        stretched = np.array(pixels)
+        stretched[..., 1] = centre + ratios[-1] * (stretched[..., 1] - centre)
+        noisy = stretched + NOISE.pixel * rng.standard_normal(pixels.shape)
+        reported = reported_poses(poses, rng, NOISE.translation, NOISE.rotation)
+        drawn.append(Dataset.from_arrays(POINTS, noisy, reported, scene.data.image_size))
+    fits = fit_many(drawn, scene.calibration, noise=NOISE, priors=told)
+    errors = np.stack(
+        [
+            np.asarray(fits.calibrations.camera.alpha_u) - alpha_u,
+            np.asarray(fits.calibrations.camera.alpha_v) - np.array(ratios) * alpha_u,
+            *np.transpose(
+                np.asarray(fits.calibrations.camera_from_mount.translation())
+                - np.asarray(scene.calibration.camera_from_mount.translation())
+            ),
+        ],
+        axis=1,
+    )
+    rows = np.array([0, 1, *(fits.parameter_names.index(f"{MOUNT}.{k}") for k in "xyz")])
+    stated = np.asarray(fits.covariance)[:, rows[:, None], rows]
+    nees = np.einsum("fi,fij,fj->f", errors, np.linalg.inv(stated), errors)
+    # The mean of so many chi-squares of five degrees of freedom is known to 0.28.
+    assert nees.mean() == pytest.approx(5.0, abs=1.0)

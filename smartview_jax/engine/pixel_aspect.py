@@ -1,0 +1,128 @@
+"""Fit the ratio of a camera's focal lengths, `camera.pixel_aspect`, in the place of alpha_v.
+
+Pixels of a sensor are square to one part in a thousand or better, which tells the ratio
+`alpha_v / alpha_u`, but neither focal length. In a fit with such a prior the camera's second number
+is the ratio, so that the prior is on a single parameter, as all others. Parameters keep their
+names, and covariances are stated for alpha_u and alpha_v: they are converted where a fit ends.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..runtime.array_namespace import AnyArray, array_namespace
+from .view_normal_equations import ViewNormalEquations
+
+PIXEL_ASPECT = "camera.pixel_aspect"
+"""The name of the ratio of the focal lengths, alpha_v / alpha_u."""
+
+_ALPHA_V = "camera.alpha_v"
+
+_U, _V = 0, 1
+"""Places of alpha_u, and of alpha_v or the ratio, among the numbers of a camera."""
+
+
+def is_aspect(path: str) -> bool:
+    """Return whether a path names the ratio of focal lengths; of a rig, after the camera's name."""
+    return f".{path}".endswith(f".{PIXEL_ASPECT}")
+
+
+def focal_length_of(path: str) -> str:
+    """Return the name of the alpha_v in whose place a ratio is fitted; other paths as they are."""
+    return path.removesuffix(PIXEL_ASPECT) + _ALPHA_V if is_aspect(path) else path
+
+
+def is_focal_length(name: str) -> bool:
+    """Return whether a parameter is an alpha_v, in whose place a ratio can be fitted."""
+    return f".{name}".endswith(f".{_ALPHA_V}")
+
+
+def alpha_u_of(name: str) -> str:
+    """Return the name of the alpha_u of the camera of an alpha_v."""
+    return f"{name.removesuffix('_v')}_u"
+
+
+def aspect_of(name: str) -> str:
+    """Return the name of the ratio that is fitted in the place of an alpha_v."""
+    return name.removesuffix(_ALPHA_V) + PIXEL_ASPECT
+
+
+def with_aspect(
+    numbers: Float[Any, "numbers"], fits_aspect: Bool[AnyArray, ""]
+) -> Float[Any, "numbers"]:
+    """Return the numbers of a camera with the ratio in the place of alpha_v, where it is fitted."""
+    xp = array_namespace(numbers)
+    second = xp.where(fits_aspect, numbers[_V] / numbers[_U], numbers[_V])
+    return xp.concatenate([numbers[:_V], second[None], numbers[_V + 1 :]])
+
+
+def without_aspect(
+    numbers: Float[Any, "numbers"], fits_aspect: Bool[AnyArray, ""]
+) -> Float[Any, "numbers"]:
+    """Return the numbers of a camera with alpha_v in the place of a ratio that is fitted."""
+    xp = array_namespace(numbers)
+    second = xp.where(fits_aspect, numbers[_V] * numbers[_U], numbers[_V])
+    return xp.concatenate([numbers[:_V], second[None], numbers[_V + 1 :]])
+
+
+def equations_by_aspect(
+    views: ViewNormalEquations,
+    alpha_u: Float[Array, ""],
+    alpha_v: Float[Array, ""],
+    fits_aspect: Bool[Array, ""],
+) -> ViewNormalEquations:
+    """Return the views' normal equations with the ratio as a parameter, where it is fitted."""
+    # alpha_v = a alpha_u with the ratio a: alpha_u's column J_u becomes J_u + a J_v, and the column
+    # of the ratio is alpha_u J_v, with J_v alpha_v's. The rows follow in the same way.
+    by_alpha_u = jnp.where(fits_aspect, alpha_v / alpha_u, 0.0)
+    by_second = jnp.where(fits_aspect, alpha_u, 1.0)
+
+    def by_columns(x: Float[Array, "*rows columns"]) -> Float[Array, "*rows columns"]:
+        """Return an array by the columns of the Jacobian."""
+        first = x[..., _U] + by_alpha_u * x[..., _V]
+        return x.at[..., _U].set(first).at[..., _V].multiply(by_second)
+
+    by_rows = jnp.swapaxes(by_columns(views.matrix), 1, 2)
+    return ViewNormalEquations(by_columns(by_rows), by_columns(views.gradient), views.cost)
+
+
+class FittedAspects(NamedTuple):
+    """The cameras of a problem, and which of them have their ratio fitted.
+
+    Attributes:
+        places: indices of each camera's alpha_u, and of its alpha_v or ratio, among the shared
+            parameters.
+        fits_aspect: whether the ratio of each camera is fitted.
+    """
+
+    places: Int[AnyArray, "cameras 2"]
+    fits_aspect: Bool[AnyArray, "cameras"]
+
+    def named_by_fitted(self, values: Float[Any, "shared"]) -> Float[Any, "shared shared"]:
+        """Return the derivative of the parameters with alpha_v by those with the ratio.
+
+        Args:
+            values: values of the parameters of the fit.
+        """
+        # d alpha_v = a d alpha_u + alpha_u d a
+        xp = array_namespace(values)
+        index = xp.arange(len(values))
+        at_u, at_v = (
+            (xp.asarray(self.places)[:, k, None] == index[None]).astype(float) for k in (_U, _V)
+        )
+        alpha_u, aspect = ((at @ values)[:, None] for at in (at_u, at_v))
+        fits = xp.asarray(self.fits_aspect)[:, None]
+        change = xp.where(fits, aspect * at_u + (alpha_u - 1.0) * at_v, 0.0)
+        return xp.eye(len(values)) + at_v.T @ change
+
+
+def joined_aspects(parts: Sequence[FittedAspects]) -> FittedAspects | None:
+    """Return the cameras of several parts of a problem together; None if no ratio is fitted."""
+    if not any(np.any(part.fits_aspect) for part in parts):
+        return None
+    return FittedAspects(
+        *(np.concatenate([np.asarray(x) for x in field]) for field in zip(*parts, strict=True))
+    )
