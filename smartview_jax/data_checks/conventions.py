@@ -101,7 +101,7 @@ class ConventionReport(NamedTuple):
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What makes a calibration of these views uncertain, in sentences."""
+        """The reasons why a calibration of these views is uncertain, in sentences."""
         return (self.inaccuracy, *self.ambiguities) if self.inaccuracy else self.ambiguities
 
     @property
