@@ -412,7 +412,8 @@ def _doubts_of_motion(
             + (f"; {sv.data_checks.OTHER_ARM_TEXT}" if by_joints else "")
         ]
     rotation, translation = report.closure_error
-    if report.is_close:
+    # Of inaccurate poses the fit warns.
+    if report.is_close or report.inaccuracy:
         return []
     return [
         f"robot and camera agree only to {math.degrees(rotation):.2g} degrees and "

@@ -11,7 +11,7 @@ as a fit.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..geometry import host_nearest_rotation, host_rotation_vectors
 
@@ -85,9 +85,14 @@ class RelativeMotions(NamedTuple):
     second_axis_ratio: Float[np.ndarray, "*batch"]
 
 
+def spread_views(count: int) -> Int[np.ndarray, "compared"]:
+    """Return the indices of at most `MAX_VIEWS` of so many views, evenly spaced."""
+    return np.unique(np.linspace(0, count - 1, MAX_VIEWS).astype(int))
+
+
 def relative_motions(mount_from_holder: Poses, camera_from_world: Poses) -> RelativeMotions:
     """Compute the motions of robot and camera between all pairs of three or more views."""
-    indices = np.unique(np.linspace(0, camera_from_world.shape[-3] - 1, MAX_VIEWS).astype(int))
+    indices = spread_views(camera_from_world.shape[-3])
     M, C = mount_from_holder[..., indices, :, :], camera_from_world[..., indices, :, :]
     i, j = np.triu_indices(len(indices), 1)
     A, B = (poses[..., j, :, :] @ np.linalg.inv(poses)[..., i, :, :] for poses in (C, M))

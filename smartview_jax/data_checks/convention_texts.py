@@ -60,7 +60,7 @@ def convention_problems(
         if max(mismatch, given_error.rotation) > limit:
             text = _unexplained_text(best, given_error, mismatch, rotation_angles)
             return (f"{as_given}: {text}",)
-        if not (positions and _only_positions_differ(given_error)):
+        if not (positions and only_positions_differ(given_error)):
             return ()
         return (f"{as_given}: {_POSITIONS_TEXT}",)
     # Mistakes with nearly the same closure error cannot be distinguished: report all of them.
@@ -94,7 +94,7 @@ def convention_problems(
     )
 
 
-def _only_positions_differ(error: ClosureError) -> bool:
+def only_positions_differ(error: ClosureError) -> bool:
     """Return whether positions disagree by more than any arm's that turns as it says."""
     relative = error.score - error.rotation
     return relative > MAX_POSITION_ERROR and error.translation > MAX_ARM_LENGTH * error.rotation
@@ -156,6 +156,16 @@ def closure_error_text(error: ClosureError, short: bool = False) -> str:
     angle, length = np.rad2deg(error.rotation), 1e3 * error.translation
     numbers = f"{angle:.2f} degrees and {length:.3g} mm"
     return numbers if short else f"{numbers} left over between two views, in the median"
+
+
+def inaccuracy_text(given_error: ClosureError) -> str:
+    """Return that robot and camera belong together though they agree badly, as a sentence."""
+    return (
+        f"robot and camera agree only to {closure_error_text(given_error, short=True)} between two "
+        "views (median). No known mistake explains it, and in any other order they agree less: the "
+        "poses are taken as inaccurate, not as wrong. Is the target too small or too far away, or "
+        "the robot not calibrated?"
+    )
 
 
 def of_tracked_poses(text: str) -> str:

@@ -23,6 +23,7 @@ from .closure import (
     CLOSURE_SCORE_FLOOR,
     MAX_CLOSURE_SCORE,
     MAX_CORRECTED_SCORE_RATIO,
+    MAX_VIEWS,
     ClosureError,
     LengthRatio,
     RelativeMotions,
@@ -39,13 +40,16 @@ from .convention_hypotheses import (
 from .convention_texts import (
     MAX_RIVAL_SCORE_RATIO,
     convention_problems,
+    inaccuracy_text,
     of_tracked_poses,
+    only_positions_differ,
     problem_of_views,
 )
 from .given_poses import GivenPoses
 from .inverted_poses import inverted_poses_doubt
 from .length_units import length_unit_problems, size_doubt
 from .mistakes import mistakes
+from .pairing import are_paired
 from .rotation_angles import (
     angle_differences,
     compared_views,
@@ -73,6 +77,8 @@ class ConventionReport(NamedTuple):
         change: what seems to have been changed between two views, or how the poses seem to lag the
             pictures, as a sentence; empty if nothing does.
         ambiguities: sentences on what these views cannot tell, although robot and camera agree.
+        inaccuracy: how badly robot and camera agree, as a sentence, where that is noise of poses
+            which belong together; empty elsewhere.
     """
 
     problems: tuple[str, ...]
@@ -86,6 +92,17 @@ class ConventionReport(NamedTuple):
     closure_score: float = 0.0
     change: str = ""
     ambiguities: tuple[str, ...] = ()
+    inaccuracy: str = ""
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether robot and camera do not move alike as given, because of a mistake or of noise."""
+        return bool(self.problems or self.inaccuracy)
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """The reasons why a calibration of these views is uncertain, in sentences."""
+        return (self.inaccuracy, *self.ambiguities) if self.inaccuracy else self.ambiguities
 
     @property
     def is_close(self) -> bool:
@@ -96,7 +113,7 @@ class ConventionReport(NamedTuple):
     def is_certain(self) -> bool:
         """Whether the motions agree, and tell the direction of the poses and all lengths."""
         is_compared = self.closure_score > 0.0
-        return is_compared and self.is_close and not (self.problems or self.ambiguities)
+        return is_compared and self.is_close and not (self.problems or self.doubts)
 
 
 DOUBTED_SCORE, MAX_CERTAIN_SCORE_RATIO = 0.01, 0.1
@@ -141,7 +158,8 @@ def check_conventions(
     chain = _ComparedChain.of(GivenPoses(robot, camera), used, in_hand, tracked, ids)
     hypotheses = _likely_mistakes(chain, turns)
     suspicious = suspicious_views(differences)
-    problems = _problems(chain, hypotheses, mismatch, [view for view, _ in suspicious])
+    views_suspected = [view for view, _ in suspicious]
+    problems, inaccuracy = _problems(chain, hypotheses, mismatch, views_suspected)
     ambiguities = () if problems else _ambiguities(chain)
     if tracked:
         problems, ambiguities = (
@@ -159,6 +177,7 @@ def check_conventions(
         chain.ratio.std,
         error.score if chain.comparable else 0.0,
         ambiguities=ambiguities,
+        inaccuracy=inaccuracy,
     )
 
 
@@ -246,8 +265,8 @@ def _problems(
     hypotheses: tuple[ConventionHypothesis, ...],
     mismatch: float,
     suspicious: Sequence[int],
-) -> tuple[str, ...]:
-    """Return what makes the data unusable as given, in sentences.
+) -> tuple[tuple[str, ...], str]:
+    """Return what makes the data unusable as given, or how inaccurate they are, in sentences.
 
     Args:
         chain: the motions.
@@ -264,15 +283,48 @@ def _problems(
             MAX_CORRECTED_SCORE_RATIO * chain.error.score
         )
         problems = convention_problems(chain.error, hypotheses, mismatch, angles, positions)
+    inaccuracy = ""
     if problems and not is_explained(chain.error, hypotheses):
-        rest = used & ~np.isin(np.arange(len(used)), suspicious)
-        # Three views close with some wrong poses, too.
-        if 3 < rest.sum() < used.sum():
-            error = closure_error(motions_of_mount(robot, camera, rest, chain.in_hand))
-            names = [chain.ids[view] for view in suspicious]
-            problems = problem_of_views(chain.error, error, names) or problems
+        if of_views := _problem_of_some_views(chain, suspicious):
+            problems = of_views
+        elif _are_inaccurate(chain, hypotheses):
+            problems, inaccuracy = (), inaccuracy_text(chain.error)
     # A wrong convention distorts the length ratio too, so units are checked only without one.
-    return problems or length_unit_problems(chain.ratio.value, robot, camera, used, chain.tracked)
+    units = length_unit_problems(chain.ratio.value, robot, camera, used, chain.tracked)
+    return problems or units, "" if units else inaccuracy
+
+
+def _problem_of_some_views(chain: _ComparedChain, suspicious: Sequence[int]) -> tuple[str, ...]:
+    """Return a problem of the suspicious views, if robot and camera move alike without them."""
+    used = chain.used
+    rest = used & ~np.isin(np.arange(len(used)), suspicious)
+    # Three views close with some wrong poses, too.
+    if not 3 < rest.sum() < used.sum():
+        return ()
+    error = closure_error(
+        motions_of_mount(chain.given.robot, chain.given.camera, rest, chain.in_hand)
+    )
+    return problem_of_views(chain.error, error, [chain.ids[view] for view in suspicious])
+
+
+def _are_inaccurate(chain: _ComparedChain, hypotheses: tuple[ConventionHypothesis, ...]) -> bool:
+    """Return whether robot and camera differ by noise, and move alike apart from that.
+
+    Positions alone that do not fit are a mistake: an arm that moves its tool by so much also turns
+    it. And of all readings of the poses the one as given has to be the likeliest. With an unknown
+    mistake, other mistakes leave as much.
+    """
+    if not hypotheses or only_positions_differ(chain.error):
+        return False
+    # Errors like noise have six numbers a view. The mistakes together are as probable beforehand as
+    # none: of many, one leaves a little less by chance.
+    views = min(int(chain.used.sum()), MAX_VIEWS)
+    best = hypotheses[0].closure_error.score
+    if 3.0 * views * math.log(chain.error.score / best) > math.log(len(hypotheses)):
+        return False
+    given, used = chain.given, chain.used
+    robot = np.linalg.inv(given.robot[used]) if chain.in_hand else given.robot[used]
+    return are_paired(robot, given.camera[used])
 
 
 def _ambiguities(chain: _ComparedChain) -> tuple[str, ...]:

@@ -37,7 +37,8 @@ class PoseStart(NamedTuple):
     Attributes:
         calibration: near the solution, by closed forms.
         consistent: mask of the pairs that agree with it.
-        ambiguities: what makes many pairs wrong together, and what they cannot tell, in sentences.
+        ambiguities: what makes many pairs wrong together or inaccurate, and what they cannot tell,
+            in sentences.
         unit_doubt: difference of the ratio of motions from one, in its standard deviations.
         in_own_unit: whether the tracker's unit turned out to be its own.
         drift: of the tracker in this unit, if it was asked for.
@@ -162,7 +163,7 @@ def start_in_likelier_unit(
 
 
 def _check_conventions(data: PoseDataset, agreement: _Agreement) -> tuple[tuple[str, ...], float]:
-    """Return in sentences what makes many pairs wrong together, and what they cannot tell.
+    """Return in sentences what makes many pairs wrong or inaccurate, and what they cannot tell.
 
     Returns:
         The sentences, and `PoseStart.unit_doubt`.
@@ -204,12 +205,14 @@ def _check_conventions(data: PoseDataset, agreement: _Agreement) -> tuple[tuple[
     fault = find_shared_fault(poses, data.seen, consistent)
     if fault is not None and poses.drifts and not fault.explains_most:
         fault = None
-    if fault is not None and (report.problems or (fault.contradicts and fault.divides(consistent))):
+    if fault is not None and (
+        report.is_contradicted or (fault.contradicts and fault.divides(consistent))
+    ):
         raise ValueError(fault.sentence)
     if report.problems:
         raise ValueError("; ".join(report.problems))
     unit_doubt = abs(report.length_ratio - 1.0) / report.length_ratio_std
-    return (() if fault is None else (fault.sentence,)) + report.ambiguities, unit_doubt
+    return (() if fault is None else (fault.sentence,)) + report.doubts, unit_doubt
 
 
 def blank_calibration(data: PoseDataset) -> Calibration:

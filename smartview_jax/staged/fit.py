@@ -176,7 +176,7 @@ def _assembled(
         (
             *checks.doubts,
             *((report.change,) if report.change and not report.problems else ()),
-            *report.ambiguities,
+            *report.doubts,
             # With a wrong camera any poses explain the pictures as badly.
             *((choice.warning,) if choice and choice.warning and not checks.doubts else ()),
         ),

@@ -133,10 +133,13 @@ def check_motion(data: Dataset, views: PairedViews) -> MotionChecks:
     )
     if views.choice is not None and views.choice.explained:
         # The poses of a small target scatter by more than the check allows for.
-        report = report._replace(problems=(), hypotheses=())
+        report = report._replace(problems=(), hypotheses=(), inaccuracy="")
     if views.choice is None and not report.explained:
         report = _with_mistake_in_joints(report, data, common.camera_from_world, used)
     camera_doubt, doubts = pictures.doubts(used)
+    if camera_doubt is not None and report.inaccuracy:
+        # Its poses are not noise about the true ones.
+        report = report._replace(problems=(report.inaccuracy,), inaccuracy="")
     if not report.explained:
         report = _with_fault_of_many_views(report, data, pictures, camera_doubt is None)
     # A target that bends does not hide a mistake that explains how robot and camera move.
@@ -165,15 +168,17 @@ def _with_mistake_in_joints(
     if data.joints is None or data.arm is None:
         return report
     readings, text = np.asarray(data.joints), ""
-    if report.problems:
+    if report.is_contradicted:
         text = joint_problem(readings, data.arm, camera_from_world, data.mount, used)
     if not text:
         lengths = find_other_arm(readings, data.arm, camera_from_world, data.mount, used)
         text = "" if lengths is None else lengths.sentence
     if text:
-        return report._replace(problems=(text,), explained=True)
-    stuck = stuck_joints(readings, used, data.view_ids) if report.problems else ""
-    return report._replace(problems=(stuck, *report.problems)) if stuck else report
+        return report._replace(problems=(text,), explained=True, inaccuracy="")
+    stuck = stuck_joints(readings, used, data.view_ids) if report.is_contradicted else ""
+    if not stuck:
+        return report
+    return report._replace(problems=(stuck, *report.problems), inaccuracy="")
 
 
 def _with_fault_of_many_views(
@@ -205,5 +210,7 @@ def _with_fault_of_many_views(
     fault = find_shared_fault(poses, pictures.used)
     if fault is None:
         return report
-    text = fault.sentence
-    return report._replace(change=text, problems=(text,) if fault.contradicts else report.problems)
+    report = report._replace(change=fault.sentence)
+    if not fault.contradicts:
+        return report
+    return report._replace(problems=(fault.sentence,), inaccuracy="")

@@ -48,6 +48,9 @@ def likeliest_walk(
         walk: the model.
         start: logarithms of the standard deviations, in units, from which the search begins.
         priors: on all of them.
+
+    Raises:
+        LinAlgError: a chain so far from the poses that rounding errors decide.
     """
     deviance = _posterior_deviance(walk, priors)
     largest = np.full(len(start), -np.log(SMALLEST_PART))
@@ -60,7 +63,13 @@ def likeliest_walk(
         bounds=list(zip(smallest, largest, strict=True)),
         options={"ftol": DEVIANCE_TOLERANCE / max(abs(deviance(start)[0]), 1.0)},
     )
-    return LikeliestWalk(optimum.x, float(optimum.fun), solved_walk(walk, optimum.x).fit)
+    solved = solved_walk(walk, optimum.x)
+    if solved.squares < 0.0:
+        raise np.linalg.LinAlgError(
+            "the tracker's drift is lost in rounding errors, because its poses are far from what "
+            "the robot says: is its unit of length its own (scale=True), or are many pairs wrong?"
+        )
+    return LikeliestWalk(optimum.x, float(optimum.fun), solved.fit)
 
 
 def walk_log_evidence(walk: Walk, likeliest: LikeliestWalk, priors: LogNormalPriors) -> float:

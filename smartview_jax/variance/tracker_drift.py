@@ -122,6 +122,8 @@ class SolvedWalk(NamedTuple):
     Attributes:
         walk, logarithms: the model and its standard deviations.
         deviance: -2 log of the restricted likelihood, but for a constant.
+        squares: weighted sum of squares that is left over; negative only where it is lost in
+            rounding errors.
         information: inverse covariance of the errors in each used view.
         numbers: the columns in the used views.
         eliminated: drift that would follow each column, in all views.
@@ -134,6 +136,7 @@ class SolvedWalk(NamedTuple):
     walk: Walk
     logarithms: Float[np.ndarray, "kinds"]
     deviance: float
+    squares: float
     information: Float[np.ndarray, "used 6 6"]
     numbers: Float[np.ndarray, "used 6 columns"]
     eliminated: Float[np.ndarray, "views drifts columns"]
@@ -186,11 +189,13 @@ def solved_walk(walk: Walk, logarithms: Float[np.ndarray, "kinds"]) -> SolvedWal
         deviance += log_determinant
     inverse, log_determinant = _inverse(normal[:-1, :-1] + prior)
     coefficients = inverse @ normal[:-1, -1]
-    deviance += log_determinant + float(normal[-1, -1] - normal[:-1, -1] @ coefficients)
+    squares = float(normal[-1, -1] - normal[:-1, -1] @ coefficients)
+    deviance += log_determinant + squares
     return SolvedWalk(
         walk,
         logarithms,
         deviance,
+        squares,
         information,
         numbers,
         eliminated,

@@ -361,6 +361,18 @@ def test_pairs_in_no_order_are_refused():
         sv.fit_poses(mixed, field=None)
 
 
+def test_inaccurate_pairs_are_taken_with_a_warning():
+    """Ten degrees and 50 mm, as from a small marker far away."""
+    turns, rng = np.random.default_rng(0).uniform(-1.5, 1.5, (VIEWS, 3)), np.random.default_rng(1)
+    robot, measured = tracked(0, turns=turns)
+    noise = rng.normal(size=(VIEWS, 6)) * np.repeat([0.05, np.deg2rad(10.0)], 3)
+    measured = host_exponentials(noise) @ measured
+    (text,) = start_from_poses(PoseDataset.from_poses(robot, measured)).ambiguities
+    assert text.startswith("robot and camera agree only to")
+    with pytest.raises(ValueError, match="do not move alike as given"):
+        start_from_poses(PoseDataset.from_poses(np.linalg.inv(robot), measured))
+
+
 def test_a_target_that_was_moved_between_two_pairs_is_named():
     """By 20 mm, from the ninth pair on; there is no such change where every other pair is wrong."""
     robot, later = tracked(3)

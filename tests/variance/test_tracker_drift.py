@@ -1,5 +1,7 @@
 """The random walk of a tracker: against SciPy's normal distribution with all covariances dense."""
 
+import sys
+
 import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
@@ -58,14 +60,16 @@ def test_likelihood_and_unknowns_are_those_of_the_dense_covariance(walk):
     deviances = []
     for logarithms in (LOGARITHMS, LOGARITHMS + np.linspace(-0.5, 0.5, 8)):
         covariance, columns = dense(walk, logarithms)
-        found = solved_walk(walk, logarithms).fit
-        inverse = np.linalg.inv(covariance)
+        solved = solved_walk(walk, logarithms)
+        found, inverse = solved.fit, np.linalg.inv(covariance)
         by_unknowns = np.linalg.inv(columns.T @ inverse @ columns)
         best = by_unknowns @ columns.T @ inverse @ errors
         np.testing.assert_allclose(found.unknowns[:12], best, rtol=1e-6, atol=1e-9)
         np.testing.assert_allclose(found.covariance[:12, :12], by_unknowns, rtol=1e-5, atol=1e-14)
+        left_over = errors - columns @ best
+        assert solved.squares == pytest.approx(left_over @ inverse @ left_over, rel=1e-6)
         normal = multivariate_normal(np.zeros(len(errors)), covariance)
-        density = normal.logpdf(errors - columns @ best)
+        density = normal.logpdf(left_over)
         deviance = -2.0 * density - np.linalg.slogdet(by_unknowns)[1]
         deviances.append(found.deviance - deviance)
     # Constants differ, by the choice of the unknowns' units.
@@ -104,3 +108,15 @@ def test_the_likeliest_sizes_are_at_a_maximum(walk):
     for step in 0.05 * np.vstack([np.eye(8), -np.eye(8)]):
         assert deviance(best.logarithms + step) > lowest - 2e-3
     assert np.isfinite(walk_log_evidence(walk, best, priors))
+
+
+def test_a_drift_that_is_lost_in_rounding_errors_has_no_evidence(walk, monkeypatch):
+    """Millions of metres from the poses, a sum of squares comes out negative."""
+
+    def lost(*arguments):
+        return solved_walk(*arguments)._replace(squares=-1.0)
+
+    monkeypatch.setattr(sys.modules[likeliest_walk.__module__], "solved_walk", lost)
+    priors = LogNormalPriors(np.eye(8), np.log(np.ones(8)), np.full(8, 3.0))
+    with pytest.raises(np.linalg.LinAlgError, match="lost in rounding errors, because its poses"):
+        likeliest_walk(walk, np.zeros(8), priors)
