@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..argument_checks import require_instance
+from ..argument_checks import MAX_COORDINATE, require_instance
 from ..calibration import Calibration
 from ..evaluation import CalibrationEstimate
 from ..geometry import check_rigid, host_poses, host_transformed
@@ -19,11 +19,9 @@ if TYPE_CHECKING:
     from ..joint import RigEstimate, RigFit
 
 
-MAX_DISTANCE = 100.0
-"""Largest distance of an obstacle from the world's origin, m; a larger one is in another unit."""
-
 MAX_CLEARANCE = 0.5
-"""Largest distance that a robot is asked to keep, and radius of its links, m, in the same way."""
+"""Largest distance that a robot is asked to keep, and radius of its links, m; a larger one is in
+another unit."""
 
 
 class Obstacle(NamedTuple):
@@ -94,9 +92,9 @@ class Obstacle(NamedTuple):
                 f"found {triangles.min()} to {triangles.max()}"
             )
         # NaN compares as False.
-        if not (np.abs(vertices) <= MAX_DISTANCE).all():
+        if not (np.abs(vertices) <= MAX_COORDINATE).all():
             raise ValueError(
-                f"obstacle {self.name}: vertices: expected metres, up to {MAX_DISTANCE:g} m from "
+                f"obstacle {self.name}: vertices: expected metres, up to {MAX_COORDINATE:g} m from "
                 f"the origin; found {np.abs(vertices).max():.4g}"
             )
 
