@@ -21,6 +21,12 @@ _REPR = reprlib.Repr()
 _REPR.maxstring = _REPR.maxother = 60
 _REPR.maxlevel = 2
 
+MAX_COORDINATE = 100.0
+"""Largest coordinate of a pose or of anything that a robot's camera sees, m.
+
+A larger one is in another unit, such as millimetres.
+"""
+
 
 def shortened_repr(value: object) -> str:
     """Return a shortened representation of a value, which may be of any type and length."""

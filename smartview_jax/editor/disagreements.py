@@ -69,7 +69,9 @@ class Findings(NamedTuple):
         """Return why a constraint contradicts the clicks or the others; empty if it does not."""
         fact, verdict = self.document.constraints[number], self.verdicts[number]
         if verdict.violated:
-            return "cannot hold together with the other exact facts"
+            is_lone = len(self.related(number)) == 1
+            measured = self._measured(fact) if is_lone else ""
+            return measured or "cannot hold together with the other facts and the clicks"
         if not verdict.contradicts:
             return ""
         doubt = f"chi-square {verdict.cost:.1f} of {verdict.degrees_of_freedom}"

@@ -23,12 +23,13 @@ With 200 a file has 360,000 numbers; above this a file has the covariance of eac
 class _Refinement(NamedTuple):
     """The points of a document with constraints, refined together.
 
-    Estimates and verdicts are by id, features in the document's order.
+    Estimates and verdicts are by id, features in the document's order; None if the constraints
+    cannot hold, and the estimates are by the clicks alone.
     """
 
     estimates: dict[int, PointEstimate]
     verdicts: dict[int, ConstraintVerdict]
-    features: RefinedFeatures
+    features: RefinedFeatures | None
 
 
 class DocumentEstimates:
@@ -64,9 +65,9 @@ class DocumentEstimates:
         move others, so that their errors are correlated: two points at a known distance are
         uncertain, but their distance is not.
         """
-        if document.constraints:
+        features = self._refined(document).features if document.constraints else None
+        if features is not None:
             place = {point: k for k, point in enumerate(document.points)}
-            features = self._refined(document).features
             return features.joint_picture_covariance([place[point] for point in points])
         estimates = self.points(document)
         blocks = [estimates[point].picture_covariance for point in points]
@@ -120,8 +121,23 @@ class DocumentEstimates:
             constraints = [constraint_of(fact, number) for fact in document.constraints.values()]
             points = list(document.points.values())
             estimates, features = self._geometry.refined(points, constraints)
-            named = dict(zip(document.points, estimates, strict=True))
             judged = dict(zip(document.constraints, features.verdicts, strict=True))
+            if not features.result.converged:
+                # Facts that cannot hold are no reason to lose the points.
+                return _Refinement(self.by_clicks_alone(document), _without_solution(judged), None)
+            named = dict(zip(document.points, estimates, strict=True))
             return _Refinement(named, judged, features)
 
         return self._last.of((document.points, document.constraints), refine)
+
+
+def _without_solution(verdicts: dict[int, ConstraintVerdict]) -> dict[int, ConstraintVerdict]:
+    """Return the verdicts on constraints that cannot hold: violated, or nothing known.
+
+    Where no exact one is far from holding, all are violated together.
+    """
+    wrong = {k for k, verdict in verdicts.items() if verdict.violated} or set(verdicts)
+    return {
+        k: verdict._replace(violated=k in wrong, contradicts=False)
+        for k, verdict in verdicts.items()
+    }

@@ -145,11 +145,16 @@ def face_problem(loop: Sequence[int], estimates: Estimates) -> str:
     missing = [p for p in loop if estimates[p].failure]
     if missing:
         return f"point {missing[0]} has no position"
-    vertices = _positions(loop, estimates)
+    # By their ids, which the message names; no face asks for what is between them.
+    points = list(loop)
+    vertices, sigma = np.zeros((max(points) + 1, 3)), np.zeros(max(points) + 1)
+    vertices[points] = _positions(points, estimates)
     # A corner may be off the plane by its uncertainty.
-    sigma = np.sqrt([np.linalg.eigvalsh(estimates[p].covariance)[-1].clip(0.0) for p in loop])
+    sigma[points] = np.sqrt(
+        [np.linalg.eigvalsh(estimates[p].covariance)[-1].clip(0.0) for p in points]
+    )
     try:
-        check_face(vertices, Face(tuple(range(len(loop)))), sigma)
+        check_face(vertices, Face(tuple(points)), sigma)
     except ValueError as error:
         return str(error)
     return ""

@@ -321,6 +321,8 @@ class ModelSession(AbstractDrawing):
     def save(self, path: str | os.PathLike[str] | None = None) -> Path:
         """Write the model as JSON, completely or not at all.
 
+        What disagrees in it is in the model's provenance: the covariance is of right clicks.
+
         Raises:
             ValueError: the session has no file and none is given, or nothing has a position yet.
         """
@@ -331,6 +333,8 @@ class ModelSession(AbstractDrawing):
         model = self.model()
         if not len(model.vertices):
             raise ValueError("save: no point has a position yet; click each point in two views")
+        doubts = tuple(map(str, self.disagreements()))
+        model = dataclasses.replace(model, provenance=model.provenance + doubts)
         written = save_object_model(model, target)
         # A copy elsewhere does not count as saved.
         if target == self.path:

@@ -7,16 +7,21 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..argument_checks import require_instance
+from ..argument_checks import MAX_COORDINATE, require_instance
 from ..calibration import Calibration
 from ..evaluation import CalibrationEstimate
-from ..geometry import host_poses, host_transformed
+from ..geometry import check_rigid, host_poses, host_transformed
 from ..io import to_trimesh
 from ..robots import BOX_CORNERS, BOX_TRIANGLES, JointsLike, SerialArm
 from .localized import LocalizedObject, checked_object
 
 if TYPE_CHECKING:
     from ..joint import RigEstimate, RigFit
+
+
+MAX_CLEARANCE = 0.5
+"""Largest distance that a robot is asked to keep, and radius of its links, m; a larger one is in
+another unit."""
 
 
 class Obstacle(NamedTuple):
@@ -39,13 +44,27 @@ class Obstacle(NamedTuple):
         size: Sequence[float] | Float[np.ndarray, "3"],
         world_from_box: Float[np.ndarray, "4 4"],
     ) -> "Obstacle":
-        """Return a box about the origin of its own frame; size along x, y and z, m."""
-        vertices = BOX_CORNERS * np.asarray(size, dtype=float)
-        return cls(name, host_transformed(world_from_box, vertices), BOX_TRIANGLES)
+        """Return a box about the origin of its own frame; size along x, y and z, m.
+
+        Raises:
+            ValueError: a size that is not positive, or a pose that is not rigid.
+        """
+        lengths = np.asarray(size, dtype=float)
+        if lengths.shape != (3,) or not (lengths > 0.0).all():
+            raise ValueError(
+                f"obstacle {name}: size: expected three positive lengths, found {size}"
+            )
+        for text in check_rigid(world_from_box[None], (name,)).values():
+            raise ValueError(f"obstacle {name}: world_from_box: {text}")
+        return cls(name, host_transformed(world_from_box, BOX_CORNERS * lengths), BOX_TRIANGLES)
 
     @classmethod
     def table(cls, half_width: float = 0.5, z: float = 0.0, thickness: float = 0.05) -> "Obstacle":
-        """Return a square table about the world's z axis, with its top at height z, m."""
+        """Return a square table about the world's z axis, with its top at height z, m.
+
+        Raises:
+            ValueError: as for `box`.
+        """
         pose = host_poses(np.eye(3), np.array([0.0, 0.0, z - 0.5 * thickness]))
         return cls.box("table", (2.0 * half_width, 2.0 * half_width, thickness), pose)
 
@@ -56,6 +75,28 @@ class Obstacle(NamedTuple):
         mesh = to_trimesh(localized.model)
         vertices = host_transformed(pose, np.asarray(mesh.vertices))
         return cls(localized.model.name or "another object", vertices, np.asarray(mesh.faces))
+
+    def check(self) -> None:
+        """Raise a ValueError for an obstacle that no checker of collisions could see as it is."""
+        vertices, triangles = np.asarray(self.vertices), np.asarray(self.triangles)
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or triangles.shape[1:] != (3,):
+            raise ValueError(
+                f"obstacle {self.name}: expected vertices (V, 3) and triangles (T, 3), found "
+                f"{vertices.shape} and {triangles.shape}"
+            )
+        if not len(vertices) or not len(triangles):
+            raise ValueError(f"obstacle {self.name}: it has no triangles")
+        if not ((triangles >= 0) & (triangles < len(vertices))).all():
+            raise ValueError(
+                f"obstacle {self.name}: triangles: expected indices of {len(vertices)} vertices, "
+                f"found {triangles.min()} to {triangles.max()}"
+            )
+        # NaN compares as False.
+        if not (np.abs(vertices) <= MAX_COORDINATE).all():
+            raise ValueError(
+                f"obstacle {self.name}: vertices: expected metres, up to {MAX_COORDINATE:g} m from "
+                f"the origin; found {np.abs(vertices).max():.4g}"
+            )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -97,8 +138,9 @@ class GraspScene:
 
         Raises:
             TypeError: a calibration of another type, such as the views of a rig.
-            ValueError: the camera is not on the hand, an arm has no initial joints, or the
-                direction upwards is zero; the message says which.
+            ValueError: the camera is not on the hand, an arm has no initial joints, an obstacle or
+                a distance is not finite or not in metres, or the direction upwards is zero; the
+                message says which.
         """
         hint = "of a rig, give a camera on the hand, such as fit.calibrations['left']"
         require_instance("calibration", self.calibration, Calibration, hint)
@@ -115,7 +157,16 @@ class GraspScene:
             )
         if self.link_radius is not None and self.arm is None:
             raise ValueError("link_radius: the links are known only with an arm")
-        if not float(np.linalg.norm(self.up)) > 0.0:
+        for obstacle in self.obstacles:
+            obstacle.check()
+        # A comparison with NaN would find every distance large enough.
+        distances = {"margin": self.margin, "link_radius": self.link_radius or 0.0}
+        for name, value in distances.items():
+            if not 0.0 <= value <= MAX_CLEARANCE:
+                raise ValueError(
+                    f"{name}: expected metres, from 0 to {MAX_CLEARANCE:g}; found {value!r}"
+                )
+        if not 0.0 < float(np.linalg.norm(self.up)) < np.inf:
             raise ValueError(f"up: expected a direction, found {self.up}")
 
     def with_obstacles(self, obstacles: Sequence[Obstacle]) -> "GraspScene":

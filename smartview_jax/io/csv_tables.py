@@ -9,13 +9,16 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ..argument_checks import name_problem, no_name, require_readable, shortened_repr
+from ..argument_checks import (
+    MAX_COORDINATE,
+    name_problem,
+    no_name,
+    require_readable,
+    shortened_repr,
+)
 from ..files import write_atomically
 from .table_text import VIEW_COLUMN, TableText, is_number, named_unit, read_table_text
 from .table_text import duplicates as duplicates
-
-MAX_COORDINATE = 100.0
-"""Largest coordinate of a pose, m; a larger one must be in another unit, such as mm."""
 
 
 @dataclasses.dataclass(frozen=True)

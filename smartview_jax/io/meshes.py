@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..argument_checks import errors_at, nearest_name, require_one_of
 from ..extras import import_extra
 from ..files import require_file, write_atomically
 from ..geometry import LENGTH_UNITS
 from ..modeling import SHARP_ANGLE, Face, ObjectModel, face_plane, find_symmetry
+from .triangle_repair import connected_parts, repaired_triangles
 
 if TYPE_CHECKING:
     import trimesh
@@ -27,14 +28,11 @@ if TYPE_CHECKING:
 MESH_FORMATS = ("obj", "ply", "stl", "glb", "gltf")
 """Endings of the files that are read and written."""
 
+MIN_EXTENT = 5e-4
+"""Smallest extent of a mesh, m; a smaller one was in a larger unit than was said."""
+
 COPLANAR_ANGLE = float(np.deg2rad(0.5))
 """Largest angle between the normals of two triangles of one flat face, rad."""
-
-WELD_DISTANCE = 1e-6
-"""Largest distance between vertices that are merged, relative to the object's extent.
-
-STL gives every triangle its own vertices, in single precision.
-"""
 
 
 def read_mesh(
@@ -49,7 +47,8 @@ def read_mesh(
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: another format, or a file without triangles.
+        ValueError: another format, a file without triangles, or an object so large or small that
+            its unit is another one.
         ImportError: trimesh is not installed.
     """
     path = Path(path)
@@ -71,7 +70,13 @@ def read_mesh(
     # Names of files have fewer restrictions than names of objects.
     name = nearest_name(path.stem)
     with errors_at(path):
-        return model_from_triangles(scale * vertices, triangles, sharp_angle, name, str(path))
+        model = model_from_triangles(scale * vertices, triangles, sharp_angle, name, str(path))
+        if model.extent < MIN_EXTENT:
+            raise ValueError(
+                f"with the unit {unit!r} the object is {1e3 * model.extent:.3g} mm large; expected "
+                f"{1e3 * MIN_EXTENT:g} mm or more"
+            )
+        return model
 
 
 def write_mesh(model: ObjectModel, path: str | os.PathLike[str]) -> Path:
@@ -153,7 +158,8 @@ def model_from_triangles(
 
     Args:
         vertices: in metres; vertices in one place are joined.
-        triangles: counter-clockwise as seen from outside.
+        triangles: counter-clockwise as seen from outside; others are turned over, and the model's
+            `provenance` says so (`repaired_triangles`).
         sharp_angle: smallest bend of the surface that is an edge, rad.
         name: of the model.
         source: origin of the mesh, for the provenance.
@@ -161,7 +167,9 @@ def model_from_triangles(
     Raises:
         ValueError: there are no triangles, or coordinates are not finite.
     """
-    mesh = _welded(vertices, triangles)
+    repaired = repaired_triangles(vertices, triangles)
+    trimesh = import_extra("trimesh", "objects", "a mesh")
+    mesh = trimesh.Trimesh(repaired.vertices, repaired.triangles, process=False)
     owners = _flat_groups(mesh)
     loops_by_face = [_boundary_loops(mesh.faces[owners == k]) for k in range(owners.max() + 1)]
     # Vertices in the middle of a straight edge are artefacts of the triangulation.
@@ -174,9 +182,9 @@ def model_from_triangles(
         Face(*(_renumbered(face.loop, number), tuple(_renumbered(h, number) for h in face.holes)))
         for face in faces
     )
-    provenance = (f"from the mesh {source}",) if source else ()
+    provenance = (*((f"from the mesh {source}",) if source else ()), *repaired.notes)
     model = ObjectModel(
-        mesh.vertices[kept], number[edges], renumbered, name=name, provenance=provenance
+        repaired.vertices[kept], number[edges], renumbered, name=name, provenance=provenance
     )
     try:
         return dataclasses.replace(model, symmetry=find_symmetry(model))
@@ -185,48 +193,31 @@ def model_from_triangles(
         return model
 
 
-def _welded(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "T 3"]) -> Any:
-    """Return a trimesh mesh with coincident vertices merged, without degenerate triangles."""
-    from scipy.spatial import KDTree
-
-    if not len(triangles):
-        raise ValueError("the mesh has no triangles")
-    if not np.isfinite(vertices).all():
-        raise ValueError("the mesh has coordinates that are not finite")
-    # A negative index would silently count from the end.
-    wrong = triangles[((triangles < 0) | (triangles >= len(vertices))).any(axis=1)]
-    if len(wrong):
-        raise ValueError(
-            f"a triangle has the vertices {wrong[0].tolist()}, but the mesh has {len(vertices)}, "
-            "numbered from 0"
-        )
-    radius = WELD_DISTANCE * float(np.ptp(vertices, axis=0).max())
-    # Each cluster is replaced by its first vertex. Rounding would separate neighbours at its steps.
-    first = np.arange(len(vertices))
-    for a, b in sorted(KDTree(vertices).query_pairs(radius)):
-        first[b] = min(first[b], first[a])
-    joined = first[triangles]
-    distinct = (joined != np.roll(joined, 1, axis=1)).all(axis=1)
-    mesh = import_extra("trimesh", "objects", "a mesh").Trimesh(
-        vertices, joined[distinct], process=False
-    )
-    # Triangles without an area have no normal.
-    mesh.update_faces(mesh.area_faces > 1e-12 * np.ptp(vertices, axis=0).max() ** 2)
-    if not len(mesh.faces):
-        raise ValueError("the mesh has no triangles with an area")
-    return mesh
-
-
 def _flat_groups(mesh: Any) -> Int[np.ndarray, "T"]:
     """Return the index of the flat face of each triangle."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
+    pairs, angles = mesh.face_adjacency, mesh.face_adjacency_angles
+    largest, joined = COPLANAR_ANGLE, angles <= COPLANAR_ANGLE
+    while True:
+        # Flat faces are the connected parts of the graph of coplanar neighbours.
+        groups = connected_parts(pairs[joined], len(mesh.faces))
+        # A round surface of very many triangles bends little from each to the next: there only
+        # neighbours that bend less are joined.
+        is_bent = _are_bent(mesh, groups)[groups[pairs]].any(axis=1) & joined
+        if not is_bent.any():
+            return groups
+        largest *= 0.5
+        joined &= ~is_bent | (angles <= largest)
 
-    pairs = mesh.face_adjacency[mesh.face_adjacency_angles <= COPLANAR_ANGLE]
-    count = len(mesh.faces)
-    # Flat faces are the connected parts of the graph of coplanar neighbours.
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    return connected_components(graph, directed=False)[1]
+
+def _are_bent(mesh: Any, groups: Int[np.ndarray, "T"]) -> Bool[np.ndarray, "groups"]:
+    """Return which groups of triangles are not flat."""
+    weighted = mesh.face_normals * mesh.area_faces[:, None]
+    sums = np.stack([np.bincount(groups, column) for column in weighted.T], axis=1)
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    # The normals of a closed surface cancel.
+    means = sums / np.maximum(lengths, np.finfo(float).tiny)
+    cosines = (mesh.face_normals * means[groups]).sum(axis=1)
+    return np.bincount(groups, cosines < np.cos(COPLANAR_ANGLE)) > 0
 
 
 def _boundary_loops(triangles: Int[np.ndarray, "T 3"]) -> list[tuple[int, ...]]:

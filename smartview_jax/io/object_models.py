@@ -32,6 +32,7 @@ from ..argument_checks import errors_at, require_readable_or_empty
 from ..files import parse_json, read_text, write_atomically
 from ..geometry import LENGTH_UNITS, host_poses
 from ..modeling import Face, Grasp, ObjectModel, Symmetry
+from .meshes import MESH_FORMATS
 
 FORMAT_VERSION = 1
 """Version of the format."""
@@ -67,6 +68,8 @@ def load_object_model(path: str | os.PathLike[str]) -> ObjectModel:
         content = parse_json(read_text(path), path)
     except ValueError as error:
         expected = "expected an object model, such as smartview model writes"
+        if Path(path).suffix.lower().lstrip(".") in MESH_FORMATS:
+            expected += "; sv.io.read_mesh and sv.io.save_object_model make one of a mesh"
         raise ValueError(f"{error}; {expected}") from error
     with errors_at(path):
         return object_model_from_dict(content)

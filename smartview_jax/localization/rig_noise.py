@@ -87,7 +87,7 @@ class ViewDisagreement(NamedTuple):
         return (
             f"views {first} and {second} disagree by {np.degrees(self.turn):.2g} degrees and "
             f"{1e3 * self.shift:.2g} mm: the pose of one of them or the transform between their "
-            "cameras is wrong"
+            "cameras is wrong, or the object has another size than its model"
         )
 
 

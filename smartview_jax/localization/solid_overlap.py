@@ -15,7 +15,7 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from ..geometry import host_transformed
-from ..modeling import Face, ObjectModel, face_plane, open_edges
+from ..modeling import Face, ObjectModel, face_plane, open_edges, winding_number
 from .edges import HIDING_MARGIN, is_round
 
 EXACT_MARGIN = 1e-4
@@ -101,7 +101,10 @@ def convex_parts(model: ObjectModel) -> tuple[ConvexPart, ...]:
         cells = [whole]
     else:
         inner = list(zip(model.faces, planes, strict=True))
-        cells = [c for c in _cells(model, whole, inner) if _winding(model, _ball(c)[0]) > 0.5]
+        surface = model.vertices[np.concatenate([face.fan for face in model.faces])]
+        cells = [
+            c for c in _cells(model, whole, inner) if winding_number(surface, _ball(c)[0]) > 0.5
+        ]
         # All parts of a measured model may be thinner than its errors.
         cells = cells or [whole]
     return tuple(_part(cell) for cell in cells)
@@ -246,18 +249,3 @@ def _ball(planes: Float[np.ndarray, "planes 4"]) -> tuple[Float[np.ndarray, "3"]
         bounds=[(None, None)] * 3 + [(0.0, None)],
     )
     return (program.x[:3], float(program.x[3])) if program.status == 0 else (np.zeros(3), 0.0)
-
-
-def _winding(model: ObjectModel, point: Float[np.ndarray, "3"]) -> float:
-    """Return how often the faces wind about a point: once inside, not at all outside."""
-    # tan(w / 2) = a . (b x c) / (abc + (a . b) c + (b . c) a + (c . a) b), the solid angle w of a
-    # triangle (van Oosterom and Strackee, 1983). Triangles of a fan outside the face cancel.
-    total = 0.0
-    for face in model.faces:
-        apex = model.vertices[face.loop[0]] - point
-        ends = model.vertices[np.array(face.directed_edges)] - point
-        b, c = ends[:, 0], ends[:, 1]
-        la, lb, lc = np.linalg.norm(apex), np.linalg.norm(b, axis=1), np.linalg.norm(c, axis=1)
-        below = la * lb * lc + b @ apex * lc + (b * c).sum(axis=1) * la + c @ apex * lb
-        total += 2.0 * float(np.arctan2(np.cross(b, c) @ apex, below).sum())
-    return total / (4.0 * np.pi)

@@ -50,6 +50,7 @@ from .shapes.faces import open_edges as open_edges
 from .shapes.faces import oriented_outward as oriented_outward
 from .shapes.faces import points_in_loops as points_in_loops
 from .shapes.faces import signed_volume as signed_volume
+from .shapes.faces import winding_number as winding_number
 from .shapes.grasp_frames import Grasp as Grasp
 from .shapes.grasp_frames import grasp_on_face as grasp_on_face
 from .shapes.grasp_frames import width_between_fingers as width_between_fingers

@@ -17,7 +17,7 @@ from ..cameras import (
     in_picture,
 )
 from ..geometry import check_rigid, host_matrices, host_transforms
-from ..robots import Command, CommandLike
+from ..robots import MAX_TOOL_COORDINATE, Command, CommandLike
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled
 from ..runtime.padding import in_batches, repeat_last
@@ -44,8 +44,9 @@ def as_checked_command(poses: CommandLike, names: Sequence[str] | None = None) -
         names: names of the views, as many as poses; by default view 0, view 1, ...
 
     Raises:
-        ValueError: a pose that is not rigid, with the view; poses without one batch axis, or not
-            one for each view; or joint readings for another number of views.
+        ValueError: a pose that is not rigid, or farther than an arm reaches, with the view; poses
+            without one batch axis, or not one for each view; or joint readings for another number
+            of views.
     """
     reported, joints = poses, None
     if isinstance(poses, Command):
@@ -58,11 +59,16 @@ def as_checked_command(poses: CommandLike, names: Sequence[str] | None = None) -
     views = len(matrices)
     if names is not None and len(names) != views:
         raise ValueError(f"poses: expected one for each of {len(names)} views, found {views}")
-    # A wrong pose is most probably in millimetres or has a transposed rotation.
     known_as = tuple(f"view {k if names is None else names[k]}" for k in range(views))
     if problems := check_rigid(matrices, known_as):
         problem_texts = "; ".join(f"{view}: {text}" for view, text in problems.items())
         raise ValueError(f"poses: {problem_texts}")
+    farthest = np.abs(matrices[:, :3, 3]).max(axis=1, initial=0.0)
+    for view in np.flatnonzero(farthest > MAX_TOOL_COORDINATE):
+        raise ValueError(
+            f"poses: {known_as[view]}: the tool is {farthest[view]:.4g} m from the base: no arm is "
+            "that long; millimetres as metres?"
+        )
     if joints is None:
         return Command(host_transforms(matrices))
     readings = np.asarray(joints, dtype=float)

@@ -114,14 +114,25 @@ class Gripper:
                     f"gripper: {name} is {value!r}; expected metres, more than 0 and at most "
                     f"{MAX_GRIPPER_SIZE:g}"
                 )
-        # These may be zero: an ideal gripper.
-        for name in ("tolerance", "min_hold", "max_turn"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
-                raise ValueError(f"gripper: {name} is {getattr(self, name)!r}; expected 0 or more")
-        if self.tool_from_gripper.shape != (4, 4) or check_rigid(
-            self.tool_from_gripper[None], ("tool_from_gripper",), 1e-5
-        ):
+        # These may be zero: an ideal gripper. More would leave nothing to grasp with.
+        most = {
+            "tolerance": (0.5 * self.max_opening, "m, half of the largest opening"),
+            "min_hold": (self.finger_length, "m, the length of the fingers"),
+            "max_turn": (0.5 * np.pi, "rad"),
+        }
+        for name, (limit, unit) in most.items():
+            if not 0.0 <= getattr(self, name) <= limit:
+                raise ValueError(
+                    f"gripper: {name} is {getattr(self, name)!r}; expected 0 to {limit:.3g} {unit}"
+                )
+        pose = self.tool_from_gripper
+        if pose.shape != (4, 4) or check_rigid(pose[None], ("tool_from_gripper",), 1e-5):
             raise ValueError("gripper: tool_from_gripper is no rigid 4x4 transform")
+        if not np.abs(pose[:3, 3]).max() <= MAX_GRIPPER_SIZE:
+            raise ValueError(
+                f"gripper: tool_from_gripper: expected metres, up to {MAX_GRIPPER_SIZE:g}; found "
+                f"{pose[:3, 3].tolist()}"
+            )
 
     def boxes(self, opening: float) -> tuple[GripperBox, GripperBox, GripperBox]:
         """Return palm, left and right finger at a distance between the fingers, m.

@@ -17,6 +17,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError, core_schema
 
 from ..argument_checks import (
+    MAX_COORDINATE,
     MAX_NAME_LENGTH,
     name_problem,
     no_name,
@@ -122,9 +123,6 @@ def _check_name(text: str) -> str:
         raise ValueError(no_name(text, reason))
     return text
 
-
-MAX_COORDINATE = 100.0
-"""Largest coordinate of a pose in a file, m; a larger one must be in another unit."""
 
 Length = Annotated[float, Field(gt=0.0, le=100.0), Expected("a length in m, above 0 and up to 100")]
 Coordinate = Annotated[

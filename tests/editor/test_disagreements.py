@@ -3,6 +3,7 @@ import pytest
 from sessions import click_all, open_session, say
 
 from smartview_jax.editor.conversation import Conversation
+from smartview_jax.io import load_object_model
 
 RAFTERS = ((0, 5), (2, 7), (3, 8), (4, 9))
 """Four of the five edges along the house, all of 50 mm."""
@@ -48,6 +49,31 @@ def test_a_file_with_a_wrong_click_is_saved_with_a_warning(scene, tmp_path):
         u, v = scene.click(3, 3)
         session.click("v4", (u + 6.0, v - 5.0), ids[3])
         assert page.save()["note"].endswith("house.json; disagreements: 1")
+        said = load_object_model(tmp_path / "house.json").provenance[1:]
+        assert said == tuple(map(str, session.disagreements()))
+
+
+def test_facts_that_cannot_hold_leave_the_points_where_the_clicks_are(scene):
+    session, ids, _ = house_with_edges(scene)
+    by_clicks = session.model().vertices
+    pair = [[ids[a], ids[b]] for a, b in RAFTERS[:2]]
+    facts = [session.add_constraint(kind, pair) for kind in ("parallel", "right_angle")]
+    np.testing.assert_array_equal(session.model().vertices, by_clicks)
+    assert session.problems() == {}
+    assert session.distance(*pair[0])[1] > 0.0
+    words = {(d.kind, d.id): d.words for d in session.disagreements()}
+    assert {("constraints", fact) for fact in facts} <= set(words)
+    assert "cannot hold together" in words["constraints", facts[0]]
+
+
+def test_a_length_in_another_unit_leaves_the_points_where_the_clicks_are(scene):
+    """Millimetres as metres."""
+    session, ids, _ = house_with_edges(scene)
+    by_clicks = session.model().vertices
+    fact = session.add_constraint("known_length", [[ids[2], ids[7]]], value=50.0)
+    np.testing.assert_array_equal(session.model().vertices, by_clicks)
+    (words,) = [d.words for d in session.disagreements() if (d.kind, d.id) == ("constraints", fact)]
+    assert "mm by the clicks alone, 50000.00 mm is stated" in words
 
 
 def test_two_of_three_clicks_are_suspects_where_each_pair_with_the_third_agrees(scene):

@@ -111,7 +111,10 @@ def test_what_is_wrong_is_said_and_changes_nothing(session, scene):
         (lambda: session.add_edge(ids[0], 999), "no point 999"),
         (lambda: session.add_face([ids[0], ids[1]]), "3 or more"),
         (lambda: session.add_face([ids[0], ids[1], lone]), f"point {lone} has no position"),
-        (lambda: session.add_face([ids[0], ids[1], ids[2], ids[8]]), "not planar: vertex"),
+        (
+            lambda: session.add_face([ids[0], ids[1], ids[2], ids[8]]),
+            f"not planar: vertex ({ids[0]}|{ids[1]}|{ids[2]}|{ids[8]}) is",
+        ),
         (lambda: session.add_face([ids[5], ids[7], ids[8], ids[6]]), "crosses itself"),
         (lambda: session.change({"do": "fly"}), "expected one of the changes"),
         (

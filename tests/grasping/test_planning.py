@@ -342,6 +342,42 @@ def test_a_camera_next_to_the_arm_is_refused():
         GraspScene(fixed)
 
 
+TRIANGLE = np.array([[0, 1, 2]])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    [
+        ({"margin": float("nan")}, "margin: expected metres"),
+        ({"margin": -0.01}, "margin: expected metres, from 0"),
+        ({"margin": 2.0}, "margin: expected metres, from 0 to 0.5; found 2.0"),
+        ({"link_radius": 40.0, "arm": six_axes(), "near": HOME_JOINTS}, "link_radius: expected"),
+        ({"up": (0.0, 0.0, float("inf"))}, "up: expected a direction"),
+        ({"obstacles": (Obstacle.table(z=500.0),)}, "obstacle table: vertices: expected metres"),
+        ({"obstacles": (Obstacle("fog", np.full((3, 3), np.nan), TRIANGLE),)}, "obstacle fog: v"),
+        ({"obstacles": (Obstacle("bin", np.eye(3)[:2], TRIANGLE),)}, "indices of 2 vertices"),
+        ({"obstacles": (Obstacle("bin", np.zeros((0, 3)), TRIANGLE[:0]),)}, "it has no triangles"),
+    ],
+)
+def test_what_would_hide_a_collision_is_refused(wrong, named):
+    """A margin that is not a number is smaller than no distance, so that all grasps were safe."""
+    with pytest.raises(ValueError, match=named):
+        GraspScene(CALIBRATION, **wrong)
+
+
+@pytest.mark.parametrize(
+    ("size", "pose", "named"),
+    [
+        ((0.1, -0.1, 0.1), np.eye(4), "obstacle wall: size: expected three positive lengths"),
+        ((0.1, 0.1), np.eye(4), "obstacle wall: size: expected three positive lengths"),
+        ((0.1, 0.1, 0.1), 2.0 * np.eye(4), "obstacle wall: world_from_box: the last row"),
+    ],
+)
+def test_wrong_boxes_are_refused(size, pose, named):
+    with pytest.raises(ValueError, match=named):
+        Obstacle.box("wall", size, pose)
+
+
 def test_wrong_motions_are_refused():
     with pytest.raises(ValueError, match="lift <= retreat"):
         Motion(lift=0.2, retreat=0.1)

@@ -14,7 +14,7 @@ from smartview_jax.grasping.success import (
 from smartview_jax.modeling import grasp_on_face
 from smartview_jax.robots import Gripper
 
-IDEAL = Gripper(tolerance=0.0, min_hold=0.0, max_turn=10.0)
+IDEAL = Gripper(tolerance=0.0, min_hold=0.0, max_turn=1.5)
 MODEL = box(0.06, 0.04, 0.03)
 GRASP = grasp_on_face(MODEL, 1, opening_direction=np.array([0.0, 1.0, 0.0]), opening=0.05)
 DRAWS_ERROR = 3e-3
@@ -69,7 +69,7 @@ def test_the_depth_is_bounded_by_the_tips_and_by_the_palm(candidate):
 
 
 def test_what_the_gripper_is_asked_to_keep_makes_it_harder(candidate):
-    careful = Gripper(tolerance=2e-3, min_hold=8e-3, max_turn=10.0)
+    careful = Gripper(tolerance=2e-3, min_hold=8e-3, max_turn=1.5)
     sigma = 0.003
     x = 2.0 * norm.cdf(0.003 / sigma) - 1.0
     z = norm.cdf(0.002 / sigma) - norm.cdf(-0.04 / sigma)

@@ -197,6 +197,13 @@ def test_what_is_not_json_is_named_with_its_line(tmp_path, text, said):
         load_object_model(tmp_path / "missing.json")
 
 
+@pytest.mark.parametrize(("name", "content"), [("part.stl", b"\x00\x80"), ("PART.OBJ", b"v 0 0 0")])
+def test_a_mesh_in_the_place_of_a_model_is_told_the_way(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=rf"{name}: .* sv\.io\.read_mesh"):
+        load_object_model(tmp_path / name)
+
+
 @pytest.mark.parametrize("name", ["visp_castle_simu", "visp_cube"])
 def test_real_cad_is_taken_saved_and_loaded(tmp_path, name):
     cad = json.loads((shared_data(name) / "object.json").read_text())

@@ -371,6 +371,14 @@ def test_views_with_and_without_joint_readings_go_together(pictures):
 def test_bad_input_is_named(pictures):
     with pytest.raises(ValueError, match="workspace: expected two corners"):
         find(pictures, workspace=np.full((2, 3), np.nan))
+    with pytest.raises(ValueError, match=r"workspace: expected two corners .*, m, up to 100"):
+        find(pictures, workspace=np.array([[-200.0, -200.0, 0.0], [200.0, 200.0, 150.0]]))
+    with pytest.raises(ValueError, match=r"occluders: expected metres, up to 100 m .*; found 500"):
+        find(pictures, occluders=500.0 * np.eye(3)[None])
+    millimetres = np.array(POSES)
+    millimetres[:, :3, 3] *= 1e3
+    with pytest.raises(ValueError, match=r"view 0: the tool is .* m from the base: .*millimetres"):
+        find(pictures, poses=millimetres)
     with pytest.raises(ValueError, match="hypotheses: of model 1, where there are 1 models"):
         find(pictures, hypotheses=starts(model=1))
     edgeless = ObjectModel(MODEL.vertices, name="points")

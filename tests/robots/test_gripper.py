@@ -30,7 +30,12 @@ def test_a_grippers_mesh_is_closed_and_has_the_volume_of_its_boxes():
         ({"finger_width": -0.01}, "finger_width"),
         ({"palm": (0.1, float("nan"), 0.1)}, r"palm\[1\]"),
         ({"tolerance": float("inf")}, "tolerance"),
+        # Millimetres and degrees: the one refuses every object, the other promises too much.
+        ({"tolerance": 0.5}, "tolerance is 0.5; expected 0 to 0.04 m"),
+        ({"min_hold": 4.0}, "min_hold is 4.0; expected 0 to 0.05 m"),
+        ({"max_turn": 15.0}, "max_turn is 15.0; expected 0 to 1.57 rad"),
         ({"tool_from_gripper": np.diag([1.0, 1.0, -1.0, 1.0])}, "no rigid"),
+        ({"tool_from_gripper": np.eye(4) + 110.0 * np.eye(4, k=3)}, "expected metres, up to 2"),
     ],
 )
 def test_wrong_dimensions_are_named(wrong, named):

@@ -12,6 +12,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ...argument_checks import MAX_COORDINATE
 from ...cameras import Camera
 from ...features import SMOOTHED_LENGTH, EdgePoints, IdealPlane, lone_points
 from ...geometry import host_transformed
@@ -225,6 +226,12 @@ def checked_triangles(
     if array.ndim != 3 or array.shape[1:] != (3, 3) or not np.isfinite(array).all():
         raise ValueError(
             f"occluders: expected finite triangles, (triangles, 3, 3); found {array.shape}"
+        )
+    farthest = np.abs(array).max(initial=0.0)
+    if farthest > MAX_COORDINATE:
+        raise ValueError(
+            f"occluders: expected metres, up to {MAX_COORDINATE:g} m from the origin; found "
+            f"{farthest:.4g}"
         )
     return array
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ...features import grouped_indices
-from ...modeling import Face, ObjectModel, shape_sigma
+from ...modeling import ObjectModel, shape_sigma
 from ...runtime.array_namespace import to_device
 from ...runtime.compilation import one_program
 from .curves import Curves, on_arcs
@@ -300,16 +300,7 @@ def _edges_on_faces(model: ObjectModel) -> Bool[np.ndarray, "E F"]:
 
 def _fans(model: ObjectModel) -> tuple[Int[np.ndarray, "T 3"], Bool[np.ndarray, "T F"]]:
     """Return the vertices of all faces' triangles, and the face that each belongs to."""
-    fans = [_fan(face) for face in model.faces]
+    fans = [face.fan for face in model.faces]
     owners = np.repeat(np.arange(len(fans)), [len(fan) for fan in fans])
     corners = np.concatenate(fans) if fans else np.zeros((0, 3), int)
     return corners, owners[:, None] == np.arange(len(fans))
-
-
-def _fan(face: Face) -> Int[np.ndarray, "T 3"]:
-    """Return the triangles between the first vertex of a face and its sides."""
-    apex = face.loop[0]
-    # Sides at the apex make no triangle. A side in line with it makes one without area, which may
-    # gain area when a vertex is moved.
-    sides = np.array([pair for pair in face.directed_edges if apex not in pair])
-    return np.column_stack([np.full(len(sides), apex), sides])

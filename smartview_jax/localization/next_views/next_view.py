@@ -13,7 +13,7 @@ from jaxtyping import Float
 from ...argument_checks import require_instance
 from ...calibration import Calibration
 from ...engine import Noise
-from ...geometry import host_matrices, host_transformed, look_at, spiral_directions
+from ...geometry import check_rigid, host_matrices, host_transformed, look_at, spiral_directions
 from ...modeling import ObjectModel, face_plane
 from ...robots import JointsLike, SerialArm
 from ...viewpoints import Limits, viewpoint_commands
@@ -106,8 +106,8 @@ def next_view(
     Raises:
         TypeError: a calibration of another type, such as the views of a rig.
         ValueError: no object is left to look at, poses are in the base frame, neither candidates
-            nor a distance are given, candidates are empty or not 4x4, or no candidate is reachable
-            or shows an object; the message says why.
+            nor a distance are given, candidates are empty or not rigid, a distance is not positive,
+            or no candidate is reachable or shows an object; the message says why.
 
     For example, after `found = sv.localize(...).accepted`, the position error in m that is left:
 
@@ -170,7 +170,11 @@ def next_view(
 
 
 def _checked_candidates(reachable: Reachable) -> Float[np.ndarray, "n 4 4"] | None:
-    """Return the given candidates as a batch, also a single one; None without candidates."""
+    """Return the given candidates as a batch, also a single one; None without candidates.
+
+    Raises:
+        ValueError: there are none, or one is not a rigid transform; the message names it.
+    """
     if reachable.camera_from_world is None:
         return None
     given = np.asarray(reachable.camera_from_world, dtype=float)
@@ -179,7 +183,11 @@ def _checked_candidates(reachable: Reachable) -> Float[np.ndarray, "n 4 4"] | No
             "reachable: camera_from_world: expected one pose or more, (n, 4, 4); found shape "
             f"{given.shape}"
         )
-    return given.reshape(-1, 4, 4)
+    candidates = given.reshape(-1, 4, 4)
+    problems = check_rigid(candidates, tuple(f"candidate {k}" for k in range(len(candidates))))
+    for candidate, text in problems.items():
+        raise ValueError(f"reachable: camera_from_world: {candidate}: {text}")
+    return candidates
 
 
 def _distance(
@@ -189,6 +197,10 @@ def _distance(
 ) -> float:
     """Return the distance of the camera from the objects in new views, m."""
     if reachable.distance is not None:
+        if not 0.0 < reachable.distance < np.inf:
+            raise ValueError(
+                f"reachable: distance: expected metres, more than 0; found {reachable.distance}"
+            )
         return float(reachable.distance)
     if candidates is None:
         raise ValueError("reachable: give candidates, camera_from_world, or a distance")

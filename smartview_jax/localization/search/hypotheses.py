@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...argument_checks import MAX_COORDINATE
 from ...cameras import distinct_cameras, with_cameras
 from ...features import IdealPlane, PictureEvidence, scaled_camera
 from ...geometry import host_transformed
@@ -166,10 +167,14 @@ def _round_hypotheses(
 
 
 def checked_box(workspace: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "2 3"]:
-    """Return two corners of a box, the lower bounds first."""
+    """Return two corners of a box, the lower bounds first; raise a ValueError if invalid."""
     corners = np.asarray(workspace, dtype=float)
-    if corners.shape != (2, 3) or not np.isfinite(corners).all():
-        raise ValueError(f"workspace: expected two corners (2, 3), finite, m; found {workspace}")
+    # NaN compares as False.
+    if corners.shape != (2, 3) or not (np.abs(corners) <= MAX_COORDINATE).all():
+        raise ValueError(
+            f"workspace: expected two corners (2, 3), finite, m, up to {MAX_COORDINATE:g}; found "
+            f"{workspace}"
+        )
     return np.stack([corners.min(axis=0), corners.max(axis=0)])
 
 

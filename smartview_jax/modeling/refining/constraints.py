@@ -43,6 +43,9 @@ class AbstractConstraint(abc.ABC):
         for edge in self.edges:
             if not isinstance(edge, LineIndex) and (len(edge) != 2 or edge[0] == edge[1]):
                 raise ValueError(f"{self}: an edge is two different vertices, found {edge}")
+        names = [edge if isinstance(edge, LineIndex) else frozenset(edge) for edge in self.edges]
+        if len(set(names)) < len(names):
+            raise ValueError(f"{self}: expected different edges, found {self.edges[0]} twice")
 
     @property
     def edges(self) -> tuple[Edge, ...]:

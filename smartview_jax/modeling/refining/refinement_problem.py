@@ -234,13 +234,15 @@ def minimise(
 
 
 def _merit(at: RefinementEquations) -> float:
-    """Return the cost including the squares of all constraints."""
-    inverse = at.system.features.inverse()
-    # For this, exact constraints get a variance that balances them with the pictures.
-    variance = np.maximum(
-        at.system.constraint_variance, MERIT_VARIANCE * at.system.variance_by_pictures(inverse)
-    )
-    return at.cost + 0.5 * float(np.sum(at.values**2 / variance))
+    """Return the cost including the squares of all constraints; NaN where a step went astray."""
+    # A step may leave what the cameras see, where the pictures say nothing.
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        inverse = at.system.features.inverse()
+        # For this, exact constraints get a variance that balances them with the pictures.
+        variance = np.maximum(
+            at.system.constraint_variance, MERIT_VARIANCE * at.system.variance_by_pictures(inverse)
+        )
+        return at.cost + 0.5 * float(np.sum(at.values**2 / variance))
 
 
 def _moved(

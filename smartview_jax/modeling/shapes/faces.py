@@ -65,6 +65,18 @@ class Face:
         return [pair for loop in self.loops for pair in zip(loop, loop[1:] + loop[:1], strict=True)]
 
     @property
+    def fan(self) -> Int[np.ndarray, "T 3"]:
+        """The triangles between the first vertex and the sides.
+
+        Where the face is not convex, or has holes, triangles of opposite orientation cancel.
+        """
+        apex = self.loop[0]
+        # Sides at the apex make no triangle. A side in line with it makes one without area, which
+        # may gain area when a vertex is moved.
+        sides = np.array([pair for pair in self.directed_edges if apex not in pair])
+        return np.column_stack([np.full(len(sides), apex), sides])
+
+    @property
     def reversed(self) -> "Face":
         """The same face with its normal to the other side."""
         return dataclasses.replace(
@@ -162,6 +174,9 @@ def check_face(
     for loop in face.loops:
         _check_loop(loop, len(vertices))
     plane = face_plane(vertices, face)
+    # A triangle is flat and cannot cross itself; meshes have thousands.
+    if len(face.indices) == 3:
+        return
     extent = float(np.ptp(vertices[list(face.loop)], axis=0).max())
     allowed = np.full(len(face.indices), planar_tolerance * extent)
     if vertex_sigma is not None:
@@ -273,6 +288,20 @@ def signed_volume(vertices: Float[np.ndarray, "V 3"], faces: Sequence[Face]) -> 
         for face in faces
         for loop in face.loops
     )
+
+
+def winding_number(triangles: Float[np.ndarray, "T 3 3"], point: Float[np.ndarray, "3"]) -> float:
+    """Return how often a closed surface winds about a point: once inside, not at all outside.
+
+    It is negative inside a surface whose normals point inward.
+    """
+    # tan(w / 2) = a . (b x c) / (abc + (a . b) c + (b . c) a + (c . a) b), the solid angle w of a
+    # triangle (van Oosterom and Strackee, 1983).
+    a, b, c = (triangles - point).swapaxes(0, 1)
+    la, lb, lc = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
+    ab, bc, ca = ((p * q).sum(axis=1) for p, q in ((a, b), (b, c), (c, a)))
+    above, below = (a * np.cross(b, c)).sum(axis=1), la * lb * lc + ab * lc + bc * la + ca * lb
+    return float(np.arctan2(above, below).sum()) / (2.0 * np.pi)
 
 
 def oriented_outward(vertices: Float[np.ndarray, "V 3"], faces: Sequence[Face]) -> tuple[Face, ...]:

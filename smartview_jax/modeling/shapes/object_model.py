@@ -23,8 +23,9 @@ from .faces import (
 from .grasp_frames import Grasp
 from .symmetry import Symmetry
 
-MAX_EXTENT = 100.0
-"""Largest extent of an object, m; a larger one was probably given in another unit."""
+MAX_EXTENT = 10.0
+"""Largest extent of an object, m; a larger one was given in another unit: no arm reaches around it,
+while parts of 10 mm and more are common."""
 
 MAX_RELATIVE_TOLERANCE = 0.1
 """Largest tolerance of a model over its extent."""
@@ -98,10 +99,10 @@ class ObjectModel:
             )
         self._check_edges()
         self._check_covariances()
-        faces = []
+        faces, sigma = [], self.vertex_sigma
         for k, face in enumerate(self.faces):
             with errors_at(f"face {k} ({face.name})" if face.name else f"face {k}"):
-                check_face(self.vertices, face, self.vertex_sigma, self.planar_tolerance)
+                check_face(self.vertices, face, sigma, self.planar_tolerance)
             faces.append(with_oriented_holes(self.vertices, face))
         # The class is frozen, but the orientation of holes is corrected before anyone uses the
         # model.

@@ -28,10 +28,6 @@ class SymmetryAxis:
     direction: Float[np.ndarray, "3"]
     fold: int
 
-    def is_along(self, direction: Float[np.ndarray, "3"]) -> bool:
-        """Return whether a unit vector is along this axis, either way."""
-        return bool(np.linalg.norm(np.cross(self.direction, direction)) < _SAME_DIRECTION)
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Symmetry:
@@ -63,16 +59,17 @@ class Symmetry:
         vectors = Rotation.from_matrix(self.rotations).as_rotvec()
         angles = np.linalg.norm(vectors, axis=1)
         axes: list[SymmetryAxis] = []
-        for vector, angle in zip(vectors, angles, strict=True):
-            direction = vector / max(angle, 1e-30)
-            # The identity has no axis, and each axis has several turns.
-            if angle < _SAME_DIRECTION or any(axis.is_along(direction) for axis in axes):
-                continue
-            about = np.linalg.norm(np.cross(vectors, direction), axis=1) < _SAME_DIRECTION
+        # The identity has no axis, and each axis has several turns.
+        remaining = angles >= _SAME_DIRECTION
+        while remaining.any():
+            first = int(np.argmax(remaining))
+            direction = vectors[first] / angles[first]
+            across = np.linalg.norm(np.cross(vectors, direction), axis=1)
+            remaining &= across >= _SAME_DIRECTION * angles
             # An axis has two unit vectors; take the one with a positive last non-zero component.
             sign = np.sign(direction[np.flatnonzero(np.abs(direction) > 1e-6)[-1]])
             # Including the identity, which is a turn about any axis.
-            axes.append(SymmetryAxis(sign * direction, int(about.sum())))
+            axes.append(SymmetryAxis(sign * direction, int((across < _SAME_DIRECTION).sum())))
         return tuple(sorted(axes, key=lambda axis: -axis.fold))
 
     @property

@@ -6,7 +6,7 @@ are to the circle.
 """
 
 import dataclasses
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -15,6 +15,9 @@ from ...geometry import host_nearest_rotation
 from .faces import SHARP_ANGLE, Face, face_plane
 from .object_model import ObjectModel
 from .symmetry import Symmetry
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 SYMMETRY_TOLERANCE = 1e-3
 """Largest distance between a rotated vertex and the one it meets, over the object's extent."""
@@ -32,10 +35,13 @@ The nearest vertex is an end of that edge, unless another rim is nearer than hal
 """
 
 TESTED_FIRST = 16
-"""Number of vertices with which most rotations are rejected before all are tested.
+"""Number of vertices, spread over all, with which most rotations are rejected.
 
 It changes the time alone, not the result.
 """
+
+TESTED_AT_ONCE = 1024
+"""Number of rotations that are tested at once with a few points of rims."""
 
 
 def find_symmetry(model: ObjectModel, tolerance: float | None = None) -> Symmetry:
@@ -57,16 +63,21 @@ def find_symmetry(model: ObjectModel, tolerance: float | None = None) -> Symmetr
     outline = _Outline.of(model, tolerance)
     points = outline.corners if outline.corners_span else outline.rims.points
     pair = _widest_pair(points)
-    accepted: list[np.ndarray] = [np.eye(3)]
-    for rotation in _candidate_rotations(points, pair, tolerance):
+    candidates = _candidate_rotations(points, pair, tolerance)
+    candidates = candidates[outline.may_be_mapped(candidates, tolerance)]
+    # The identity comes first.
+    accepted = np.zeros((len(candidates) + 1, 3, 3))
+    accepted[0], count = np.eye(3), 1
+    for rotation in candidates:
         # A rotation is new if it moves one of the pair elsewhere than every accepted one.
-        moved = (np.stack(accepted) - rotation) @ points[pair].T
+        moved = (accepted[:count] - rotation) @ points[pair].T
         if (np.abs(moved).max(axis=(1, 2)) < tolerance).any():
             continue
         fitted = outline.symmetry_near(rotation, tolerance)
         if fitted is not None:
-            accepted.append(fitted)
-    symmetry = Symmetry(np.stack(accepted), outline.centre)
+            accepted[count] = fitted
+            count += 1
+    symmetry = Symmetry(accepted[:count].copy(), outline.centre)
     axes = symmetry.axes
     is_round = bool(axes) and axes[0].fold >= AXIS_ORDER
     return dataclasses.replace(symmetry, axis=axes[0].direction) if is_round else symmetry
@@ -99,17 +110,21 @@ class _Rims(NamedTuple):
         points: positions, m, from the centre.
         neighbours: the other ends of the two edges, m, from the centre.
         sagitta: largest distance between an edge and the arc that it stands for, m.
+        tree: for the nearest of the points; None without any.
     """
 
     points: Float[np.ndarray, "R 3"]
     neighbours: Float[np.ndarray, "R 2 3"]
     sagitta: Float[np.ndarray, "R"]
+    tree: "KDTree | None"
 
-    def are_met_by(self, moved: Float[np.ndarray, "n 3"], tolerance: float) -> bool:
-        """Return whether all points are on a rim, up to the sagitta of its edge."""
-        from scipy.spatial import KDTree
-
-        near = KDTree(self.points).query(moved, min(TESTED_EDGES, len(self.points)))[1]
+    def are_met_by(
+        self, moved: Float[np.ndarray, "n 3"], tolerance: float
+    ) -> Bool[np.ndarray, "n"]:
+        """Return which points are on a rim, up to the sagitta of its edge."""
+        if self.tree is None:
+            return np.zeros(len(moved), bool)
+        near = self.tree.query(moved, min(TESTED_EDGES, len(self.points)))[1]
         near = np.reshape(near, (len(moved), -1))
         start = self.points[near][:, :, None]
         along = self.neighbours[near] - start
@@ -117,7 +132,7 @@ class _Rims(NamedTuple):
         place = np.sum(offset * along, axis=-1) / np.sum(along**2, axis=-1)
         foot = np.clip(place, 0.0, 1.0)[..., None] * along
         distance = np.linalg.norm(offset - foot, axis=-1).min(axis=2)
-        return bool((distance <= tolerance + self.sagitta[near]).any(axis=1).all())
+        return (distance <= tolerance + self.sagitta[near]).any(axis=1)
 
 
 class _Outline(NamedTuple):
@@ -126,6 +141,7 @@ class _Outline(NamedTuple):
     Attributes:
         centre: the fixed point of all symmetries, m.
         corners: vertices that must meet each other, m.
+        tree: for the nearest corner of a point; None without corners.
         corners_span: whether they determine a rotation.
         rims: the round edges.
         edges: pairs of corners that an edge joins.
@@ -134,6 +150,7 @@ class _Outline(NamedTuple):
 
     centre: Float[np.ndarray, "3"]
     corners: Float[np.ndarray, "C 3"]
+    tree: "KDTree | None"
     corners_span: bool
     rims: _Rims
     edges: frozenset[frozenset[int]]
@@ -146,6 +163,8 @@ class _Outline(NamedTuple):
         Raises:
             ValueError: its vertices are on one line.
         """
+        from scipy.spatial import KDTree
+
         rims = rim_vertices(model)
         is_corner = _are_corners(model, list(rims))
         corners, round_points = model.vertices[is_corner], model.vertices[list(rims)]
@@ -168,30 +187,43 @@ class _Outline(NamedTuple):
         faces = tuple(
             _FlatFace.of(model, face, centre, is_corner, number) for face in _sharp_faces(model)
         )
-        rim_points = _Rims(round_points - centre, neighbours - centre, sagitta)
-        return cls(centre, corners - centre, corners_span, rim_points, edges, faces)
+        round_tree, tree = (
+            KDTree(points - centre) if len(points) else None for points in (round_points, corners)
+        )
+        rim_points = _Rims(round_points - centre, neighbours - centre, sagitta, round_tree)
+        return cls(centre, corners - centre, tree, corners_span, rim_points, edges, faces)
+
+    def may_be_mapped(
+        self, rotations: Float[np.ndarray, "n 3 3"], tolerance: float
+    ) -> Bool[np.ndarray, "n"]:
+        """Return which rotations map a few corners and points of rims onto others."""
+        possible = np.ones(len(rotations), bool)
+        if self.tree is not None:
+            moved = _spread(self.corners) @ rotations.swapaxes(1, 2)
+            possible &= (self.tree.query(moved)[0] <= tolerance).all(axis=1)
+        kept = np.flatnonzero(possible)
+        # In lots, since each point is compared with both edges of its nearest points.
+        for lot in np.split(kept, range(TESTED_AT_ONCE, len(kept), TESTED_AT_ONCE)):
+            moved = _spread(self.rims.points) @ rotations[lot].swapaxes(1, 2)
+            met = self.rims.are_met_by(moved.reshape(-1, 3), tolerance)
+            possible[lot] = met.reshape(moved.shape[:2]).all(axis=1)
+        return possible
 
     def symmetry_near(
         self, rotation: Float[np.ndarray, "3 3"], tolerance: float
     ) -> Float[np.ndarray, "3 3"] | None:
         """Return the symmetry near a rotation; None if there is none."""
-        from scipy.spatial import KDTree
-
         targets = np.zeros(0, int)
-        if len(self.corners):
-            tree = KDTree(self.corners)
-            for count in (TESTED_FIRST, None):
-                distances, nearest = tree.query(self.corners[:count] @ rotation.T)
-                if np.max(distances) > tolerance:
-                    return None
+        if self.tree is not None:
+            distances, nearest = self.tree.query(self.corners @ rotation.T)
+            if np.max(distances) > tolerance:
+                return None
             targets = np.asarray(nearest, int)
             # With a large tolerance two vertices may meet the same one.
             if len(set(targets.tolist())) != len(targets):
                 return None
-        for count in (TESTED_FIRST, None):
-            moved = self.rims.points[:count] @ rotation.T
-            if len(moved) and not self.rims.are_met_by(moved, tolerance):
-                return None
+        if not self.rims.are_met_by(self.rims.points @ rotation.T, tolerance).all():
+            return None
         if {frozenset(targets[list(pair)].tolist()) for pair in self.edges} != self.edges:
             return None
         slack = tolerance + self.rims.sagitta.max(initial=0.0)
@@ -338,6 +370,11 @@ def _span(points: Float[np.ndarray, "n 3"], tolerance: float) -> bool:
     return len(points) > 2 and bool(values[1] >= tolerance)
 
 
+def _spread(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "few 3"]:
+    """Return a few of the points; neighbours along a rim tell hardly more than one of them."""
+    return points[:: max(1, len(points) // TESTED_FIRST)][:TESTED_FIRST]
+
+
 def _widest_pair(centred: Float[np.ndarray, "V 3"]) -> list[int]:
     """Return the two vertices that determine a rotation most accurately.
 
@@ -350,25 +387,22 @@ def _widest_pair(centred: Float[np.ndarray, "V 3"]) -> list[int]:
 
 def _candidate_rotations(
     centred: Float[np.ndarray, "V 3"], pair: list[int], tolerance: float
-) -> list[Float[np.ndarray, "3 3"]]:
+) -> Float[np.ndarray, "n 3 3"]:
     """Return the rotations that move a pair of vertices to another pair of the same shape."""
     first, second = pair
     radii = np.linalg.norm(centred, axis=1)
     distance = np.linalg.norm(centred[first] - centred[second])
-    candidates = []
-    for a in np.flatnonzero(np.abs(radii - radii[first]) <= 2.0 * tolerance):
-        apart = np.linalg.norm(centred - centred[a], axis=1)
-        fits = (np.abs(apart - distance) <= 2.0 * tolerance) & (
-            np.abs(radii - radii[second]) <= 2.0 * tolerance
-        )
-        for b in np.flatnonzero(fits):
-            candidates.append(_aligning_rotation(centred[pair], centred[[a, b]]))
-    return candidates
+    starts = np.flatnonzero(np.abs(radii - radii[first]) <= 2.0 * tolerance)
+    ends = np.flatnonzero(np.abs(radii - radii[second]) <= 2.0 * tolerance)
+    apart = np.linalg.norm(centred[starts][:, None] - centred[ends], axis=2)
+    a, b = np.nonzero(np.abs(apart - distance) <= 2.0 * tolerance)
+    targets = centred[np.column_stack([starts[a], ends[b]])]
+    return _aligning_rotation(centred[pair], targets)
 
 
 def _aligning_rotation(
-    source: Float[np.ndarray, "n 3"], target: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "3 3"]:
+    source: Float[np.ndarray, "n 3"], target: Float[np.ndarray, "*batch n 3"]
+) -> Float[np.ndarray, "*batch 3 3"]:
     """Return the rotation that best aligns points with others (Kabsch)."""
     # sum |R s - t|^2 is smallest for the rotation nearest to T^T S.
-    return host_nearest_rotation(target.T @ source)
+    return host_nearest_rotation(target.swapaxes(-1, -2) @ source)

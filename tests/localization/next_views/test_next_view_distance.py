@@ -59,3 +59,26 @@ def test_one_candidate_needs_no_batch(found):
 def test_candidates_that_are_none_are_refused(found, candidates, said):
     with pytest.raises(ValueError, match=said):
         next_of(found, np.linalg.inv(candidates) if len(candidates) else candidates)
+
+
+@pytest.mark.parametrize(
+    ("scale", "said"),
+    [
+        (np.diag([1.1, 1.1, 1.1, 1.0]), "candidate 1: not a rotation: R\\^T R differs"),
+        (np.diag([-1.0, 1.0, 1.0, 1.0]), "candidate 1: not a rotation: the determinant is -1"),
+        (np.full((4, 4), np.nan), "candidate 1: the pose contains NaN"),
+    ],
+    ids=["scaled", "mirrored", "no number"],
+)
+def test_a_candidate_that_is_no_pose_is_named(found, scale, said):
+    """Its command would be another pose, or it would be left out."""
+    candidates = np.linalg.inv(POSES)
+    candidates[1] = candidates[1] @ scale
+    with pytest.raises(ValueError, match=f"camera_from_world: {said}"):
+        next_of(found, candidates)
+
+
+@pytest.mark.parametrize("distance", [0.0, -0.3, float("nan"), float("inf")])
+def test_a_distance_is_positive(found, distance):
+    with pytest.raises(ValueError, match="distance: expected metres, more than 0"):
+        next_of(found, np.linalg.inv(POSES), distance=distance)

@@ -100,6 +100,8 @@ def test_what_holds_is_zero():
         lambda: RightAngle((0, 1), (1, 2), sigma=0.0),
         lambda: OnPlane((0,), normal=(0.0, 0.0, 2.0)),
         lambda: Symmetric(((1, 1),)),
+        lambda: RightAngle((0, 1), (1, 0)),
+        lambda: Parallel(LineIndex(0), LineIndex(0)),
         lambda: check_constraints([KnownLength((0, 9), 0.1)], 5, 0),
         lambda: check_constraints([Parallel((0, 1), LineIndex(2))], 5, 2),
     ],
