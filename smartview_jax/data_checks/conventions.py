@@ -17,7 +17,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import mount_frames
-from ..dataset import turns_about_one_axis, turns_about_one_point
+from ..dataset import MINIMUM_RELIABLE_VIEWS, turns_about_one_axis, turns_about_one_point
 from ..geometry import host_matrices
 from .closure import (
     CLOSURE_SCORE_FLOOR,
@@ -46,12 +46,15 @@ from .given_poses import GivenPoses
 from .inverted_poses import inverted_poses_doubt
 from .length_units import length_unit_problems, size_doubt
 from .mistakes import mistakes
+from .picture_turns import turn_of_picture
 from .rotation_angles import (
     angle_differences,
     compared_views,
     median_rotation_angles,
     suspicious_views,
 )
+from .transform_fit import fit_transforms, median_distance
+from .view_consistency import MAX_REJECTED_FRACTION
 
 
 class ConventionReport(NamedTuple):
@@ -138,10 +141,19 @@ def check_conventions(
         return ConventionReport((), (), mismatch, 1.0, (0.0, 0.0), ())
     in_hand = mount_frames(mount)[0] == "tool"
     ids = [str(view) for view in range(len(robot))] if view_ids is None else view_ids
+    suspicious = suspicious_views(differences)
+    # A few wrong views, which are left out later, need not spoil what enough others say.
+    most = min(MAX_REJECTED_FRACTION * used.sum(), used.sum() - MINIMUM_RELIABLE_VIEWS)
+    if len(suspicious) <= most:
+        used[[view for view, _ in suspicious]] = False
     chain = _ComparedChain.of(GivenPoses(robot, camera), used, in_hand, tracked, ids)
     hypotheses = _likely_mistakes(chain, turns)
-    suspicious = suspicious_views(differences)
-    problems = _problems(chain, hypotheses, mismatch, [view for view, _ in suspicious])
+    problems, of_views = _problems_of_mistakes(chain, hypotheses, mismatch), ()
+    if problems and not is_explained(chain.error, hypotheses):
+        of_views = _problem_of_views(chain, [view for view, _ in suspicious])
+    # A wrong convention distorts the length ratio too, so units are checked only without one.
+    of_units = length_unit_problems(chain.ratio.value, robot, camera, used, tracked)
+    problems = of_views or problems or of_units
     ambiguities = () if problems else _ambiguities(chain)
     if tracked:
         problems, ambiguities = (
@@ -241,38 +253,48 @@ def _likely_mistakes(
     return hypotheses
 
 
-def _problems(
-    chain: _ComparedChain,
-    hypotheses: tuple[ConventionHypothesis, ...],
-    mismatch: float,
-    suspicious: Sequence[int],
+def _problems_of_mistakes(
+    chain: _ComparedChain, hypotheses: tuple[ConventionHypothesis, ...], mismatch: float
 ) -> tuple[str, ...]:
-    """Return what makes the data unusable as given, in sentences.
+    """Return the mistakes that make robot and camera move differently, in sentences.
 
     Args:
         chain: the motions.
         hypotheses: likely mistakes.
         mismatch: median difference of the rotation angles, rad.
+    """
+    if not hypotheses:
+        return ()
+    compared = compared_views(chain.used)
+    angles = median_rotation_angles(chain.given.robot, chain.given.camera, compared)
+    # Positions that fit in another size of the target are not in another frame.
+    positions = not chain.tracked and closure_error(chain.motions, chain.ratio.value).score > (
+        MAX_CORRECTED_SCORE_RATIO * chain.error.score
+    )
+    return convention_problems(chain.error, hypotheses, mismatch, angles, positions)
+
+
+def _problem_of_views(chain: _ComparedChain, suspicious: Sequence[int]) -> tuple[str, ...]:
+    """Return that some views are wrong, in a sentence, if the others agree.
+
+    Args:
+        chain: the motions.
         suspicious: views whose rotation angles differ.
     """
     robot, camera, used = chain.given.robot, chain.given.camera, chain.used
-    problems = ()
-    if hypotheses:
-        angles = median_rotation_angles(robot, camera, compared_views(used))
-        # Positions that fit in another size of the target are not in another frame.
-        positions = not chain.tracked and closure_error(chain.motions, chain.ratio.value).score > (
-            MAX_CORRECTED_SCORE_RATIO * chain.error.score
-        )
-        problems = convention_problems(chain.error, hypotheses, mismatch, angles, positions)
-    if problems and not is_explained(chain.error, hypotheses):
-        rest = used & ~np.isin(np.arange(len(used)), suspicious)
-        # Three views close with some wrong poses, too.
-        if 3 < rest.sum() < used.sum():
-            error = closure_error(motions_of_mount(robot, camera, rest, chain.in_hand))
-            names = [chain.ids[view] for view in suspicious]
-            problems = problem_of_views(chain.error, error, names) or problems
-    # A wrong convention distorts the length ratio too, so units are checked only without one.
-    return problems or length_unit_problems(chain.ratio.value, robot, camera, used, chain.tracked)
+    rest = used & ~np.isin(np.arange(len(used)), suspicious)
+    # Three views close with some wrong poses, too.
+    if not 3 < rest.sum() < used.sum():
+        return ()
+    error = closure_error(motions_of_mount(robot, camera, rest, chain.in_hand))
+    mount_from_holder = np.linalg.inv(robot) if chain.in_hand else robot
+    fit = fit_transforms(mount_from_holder, camera, rest)
+    turns = {
+        turn_of_picture(fit, mount_from_holder[view], camera[view], median_distance(camera[used]))
+        for view in suspicious
+    }
+    turn = turns.pop() if len(turns) == 1 and not chain.tracked else None
+    return problem_of_views(chain.error, error, [chain.ids[view] for view in suspicious], turn)
 
 
 def _ambiguities(chain: _ComparedChain) -> tuple[str, ...]:
