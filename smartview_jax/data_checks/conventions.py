@@ -142,11 +142,13 @@ def check_conventions(
     in_hand = mount_frames(mount)[0] == "tool"
     ids = [str(view) for view in range(len(robot))] if view_ids is None else view_ids
     suspicious = suspicious_views(differences)
-    # A few wrong views, which are left out later, need not spoil what enough others say.
-    most = min(MAX_REJECTED_FRACTION * used.sum(), used.sum() - MINIMUM_RELIABLE_VIEWS)
-    if len(suspicious) <= most:
-        used[[view for view, _ in suspicious]] = False
     chain = _ComparedChain.of(GivenPoses(robot, camera), used, in_hand, tracked, ids)
+    # A few wrong views, which are left out later, need not spoil what enough others say.
+    rest = used & ~np.isin(np.arange(len(used)), [view for view, _ in suspicious])
+    most = min(MAX_REJECTED_FRACTION * used.sum(), used.sum() - MINIMUM_RELIABLE_VIEWS)
+    if 0 < len(suspicious) <= most:
+        chain_of_rest = _ComparedChain.of(chain.given, rest, in_hand, tracked, ids)
+        chain = chain_of_rest if chain_of_rest.is_accepted else chain
     hypotheses = _likely_mistakes(chain, turns)
     problems, of_views = _problems_of_mistakes(chain, hypotheses, mismatch), ()
     if problems and not is_explained(chain.error, hypotheses):

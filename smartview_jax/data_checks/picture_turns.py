@@ -18,7 +18,7 @@ turn about the optical axis, up to which it is one: the lens is not in the pictu
 
 
 class PictureTurn(NamedTuple):
-    """How pictures were turned or mirrored.
+    """A turn or a mirror of pictures.
 
     Attributes:
         quarter_turns: 1, 2 or 3 for pictures that were turned by so many right angles; 0 for
@@ -31,19 +31,19 @@ class PictureTurn(NamedTuple):
 
     @property
     def text(self) -> str:
-        """What was done to a picture, as a participle."""
+        """The change of a picture, as a participle."""
         if self.is_mirrored:
             return "mirrored (left and right, or top and bottom, swapped)"
         return f"turned by {90 * self.quarter_turns} degrees"
 
     @property
     def remedy(self) -> str:
-        """What to do about one picture."""
+        """The remedy for one picture."""
         return "mirror it back" if self.is_mirrored else "turn it back"
 
     @property
     def advice(self) -> str:
-        """What to ask about several pictures, and what to do, in sentences."""
+        """A question about several pictures, and the remedy, in sentences."""
         what = "mirror" if self.is_mirrored else "turn"
         return f"Did a program {what} some pictures? {what.capitalize()} them back"
 

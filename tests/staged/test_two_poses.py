@@ -42,6 +42,7 @@ def turn_between(first, second):
 
 
 def chosen(scene, **options):
+    """The poses that leave least, and those that are chosen."""
     poses, _, _ = estimate_view_poses(scene.data.observations, CAMERA)
     robot = host_mount_from_holder(scene.data.mount, scene.data.base_from_tool)
     used = np.ones(scene.data.view_count, dtype=bool)
@@ -63,6 +64,16 @@ def test_the_robot_tells_which_of_two_poses_is_right(mount):
     assert set(np.flatnonzero(before > 0.3)) <= set(choice.exchanged)
     assert choice.explained
     assert choice.warning == ""
+
+
+def test_a_camera_that_was_moved_is_not_explained_by_small_pictures():
+    """Most views agree, which would excuse what the others say of robot and camera."""
+    scene = tag_scene("eye_in_hand")
+    poses = host_matrices(scene.data.base_from_tool).copy()
+    poses[9:] = poses[9:] @ host_exponentials(np.array([0.05, 0.0, 0.0, 0.0, 0.2, 0.0]))
+    moved = dataclasses.replace(scene.data, base_from_tool=as_se3(poses))
+    _, choice = chosen(dataclasses.replace(scene, data=moved))
+    assert not choice.explained
 
 
 def test_a_large_board_is_not_asked():
