@@ -151,7 +151,7 @@ def _answered_doubts(staged: StagedFit, joint: JointFit) -> tuple[str, ...]:
     shape = None if estimate is None else estimate.target_shape
     if doubt is None or shape is None or not shape.is_stretched or joint.noise is None:
         return ()
-    return (doubt.text,) if doubt.is_answered_by(joint.noise.within_view_pixel) else ()
+    return (doubt.text,) if doubt.misfit.is_answered_by(joint.noise.within_view_pixel) else ()
 
 
 @overload

@@ -215,4 +215,4 @@ def test_a_stretched_target_answers_that_no_single_camera_fits():
     stretch, std = fit.noise_estimate.target_shape.stretch
     assert stretch == pytest.approx(2.0 * 0.06 / 2.06, abs=5.0 * std)
     # A fit that leaves far more than a camera in each view would does not answer it.
-    assert not doubt.is_answered_by(3.0 * doubt.misfit.single)
+    assert not doubt.misfit.is_answered_by(3.0 * doubt.misfit.single)

@@ -31,8 +31,8 @@ def calibrate(
     out: Annotated[
         Path,
         typer.Option(
-            help="Folder for the results, such as calibration; of several folders, one by name "
-            "in it."
+            help="Folder for the results, such as calibration; with several data sets, each has "
+            "a folder of its own name in it."
         ),
     ] = Path("calibration"),
     *,
@@ -59,9 +59,10 @@ def calibrate(
     """Calibrate: staged and joint fit, a table, calibration.yaml and report.html.
 
     The staged fit is written to calibration_staged.yaml as well. If the robot's error is corrected,
-    calibration_uncorrected.yaml is for programs that cannot apply the correction. Of several
-    folders a table shows all; a folder that cannot be calibrated does not stop the others.
-    Poses that a tracker measured may take the place of pictures; hand_eye.calib has the result.
+    calibration_uncorrected.yaml is for programs that cannot apply the correction. Several folders
+    are calibrated one by one and shown in a table; one that fails does not stop the others.
+    Instead of pictures, a file may give the target's poses that a tracker measured; the result is
+    then hand_eye.calib.
     """
     with errors_reported(debug):
         folders = datasets or []

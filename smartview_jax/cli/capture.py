@@ -123,11 +123,11 @@ def capture(
     json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
-    """Take calibration views live: find the target, test that all stands still, store, fit, plan.
+    """Take calibration views with a live camera and robot, fit them, and plan the next view.
 
-    A page on this machine shows the picture, what is covered, the expected error and the next
-    pose. Every view is stored at once, as a picture and a row; the same command goes on after a
-    lost camera, a lost robot or a crash.
+    A page in the browser shows the picture, the part of it that views cover, the expected error and
+    the next pose. A view is taken when target and robot stand still, and is stored at once. After a
+    lost camera, a lost robot or a crash, run the same command again to continue.
     """
     with errors_reported(debug):
         if named.print_program is not None:

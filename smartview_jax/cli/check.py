@@ -37,7 +37,7 @@ CheckedViewsOption = Annotated[
     options.BadViews | None,
     typer.Option(
         help="What to do with a view that has invalid values: stop (raise) or leave it out (mask).",
-        show_default="left out, and told where calibrate stops",
+        show_default="mask, and say so where calibrate would stop",
     ),
 ]
 

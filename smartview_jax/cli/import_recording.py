@@ -119,8 +119,8 @@ class LeRobotOptions:
     angle_unit: Annotated[
         str | None,
         typer.Option(
-            help="LeRobot: unit of the joint readings, such as deg, or rad. Percent of a joint's "
-            "range, which some arms record, are no angles."
+            help="LeRobot: unit of the joint readings: deg or rad, such as deg. Readings in "
+            "percent of a joint's range, which some arms record, cannot be used."
         ),
     ] = None
     pose_format: Annotated[

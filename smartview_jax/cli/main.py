@@ -146,9 +146,9 @@ def main(
             "--verbose",
             "-v",
             count=True,
-            help="Log progress, and print the hand-eye transform as matrix, quaternion, angles of "
-            "ROS and in the robot's format; -vv also logs what JAX, OpenCV and other libraries "
-            "report.",
+            help="Log progress, and print the hand-eye transform as matrix, quaternion, roll, "
+            "pitch and yaw (ROS) and in the robot's format; -vv also logs what JAX, OpenCV and "
+            "other libraries report.",
         ),
     ] = 0,
 ) -> None:

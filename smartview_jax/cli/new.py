@@ -19,14 +19,14 @@ def new(
     robot: Annotated[
         str,
         typer.Option(
-            help="The robot's pose format, such as ur: abb, fanuc, kawasaki, kuka, puma, ros, ur, "
+            help="The robot's pose format (such as ur): abb, fanuc, kawasaki, kuka, puma, ros, ur, "
             "or matrix."
         ),
     ] = "matrix",
     target: Annotated[
         str,
         typer.Option(
-            help="The target, such as chessboard: chessboard, circle_grid, charuco, tag_grid, or "
+            help="The target (such as chessboard): chessboard, circle_grid, charuco, tag_grid, or "
             "Kalibr's aprilgrid."
         ),
     ] = "charuco",

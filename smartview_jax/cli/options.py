@@ -33,7 +33,7 @@ DatasetArgument = Annotated[
 LensOption = Annotated[
     str,
     typer.Option(
-        help="Lens model, such as radial: pinhole, radial, weng, opencv4, opencv5, opencv8 or "
+        help="Lens model (such as radial): pinhole, radial, weng, opencv4, opencv5, opencv8 or "
         "fisheye."
     ),
 ]
@@ -85,7 +85,7 @@ PoseFormatOption = Annotated[
     str,
     typer.Option(
         "--format",
-        help="Pose format of the robot's manufacturer, such as kuka_abc: val_oat, kawasaki_oat, "
+        help="Pose format of the robot's manufacturer (such as kuka_abc): val_oat, kawasaki_oat, "
         "kuka_abc, ur, fanuc_wpr, abb, staubli_val3, yaskawa, ..., or euler_XYZ_fixed to "
         "euler_ZYZ_moving; .val files use VAL's own.",
     ),

@@ -1,6 +1,7 @@
 from .border_misfit import find_border_misfit as find_border_misfit
 from .camera_checks import TRIED_LENSES as TRIED_LENSES
 from .camera_checks import CameraDoubt as CameraDoubt
+from .camera_checks import CameraMisfit as CameraMisfit
 from .camera_checks import camera_misfit as camera_misfit
 from .camera_checks import camera_problem as camera_problem
 from .changes import ChangeOptions as ChangeOptions
@@ -29,6 +30,9 @@ from .pose_lag import find_lag as find_lag
 from .questions import Findings as Findings
 from .questions import detection_findings as detection_findings
 from .questions import pose_findings as pose_findings
+from .resized_pictures import ResizedPictures as ResizedPictures
+from .resized_pictures import TwoCameras as TwoCameras
+from .resized_pictures import find_resized_pictures as find_resized_pictures
 from .rig_checks import TargetFindings as TargetFindings
 from .rig_checks import target_findings as target_findings
 from .rig_states import SeenTarget as SeenTarget

@@ -52,6 +52,16 @@ class CameraMisfit(NamedTuple):
         """Whether the common camera leaves what another one would not."""
         return self.common > DETECTION_NOISE and self.single < MAX_MISFIT_RATIO * self.common
 
+    def is_answered_by(self, pixel_sigma: float) -> bool:
+        """Return whether a fit leaves about as little as a camera of its own in each view.
+
+        Args:
+            pixel_sigma: standard deviation of u and of v that the fit leaves within a view, px.
+        """
+        # The median distance of two Gaussian coordinates is 1.18 of their standard deviations.
+        distance = float(np.sqrt(2.0 * np.log(2.0))) * pixel_sigma
+        return distance < MAX_RIVAL_RATIO * self.single
+
 
 class CameraDoubt(NamedTuple):
     """A doubt about the camera that is common to all views.
@@ -63,16 +73,6 @@ class CameraDoubt(NamedTuple):
 
     text: str
     misfit: CameraMisfit
-
-    def is_answered_by(self, pixel_sigma: float) -> bool:
-        """Return whether a fit leaves about as little as a camera of its own in each view.
-
-        Args:
-            pixel_sigma: standard deviation of u and of v that the fit leaves within a view, px.
-        """
-        # The median distance of two Gaussian coordinates is 1.18 of their standard deviations.
-        distance = float(np.sqrt(2.0 * np.log(2.0))) * pixel_sigma
-        return distance < MAX_RIVAL_RATIO * self.misfit.single
 
 
 def camera_misfit(

@@ -1,11 +1,12 @@
-"""Find the view from which something was changed: a knocked camera, a moved target, another frame.
+"""Find the view from which something was changed: a knocked camera, a moved target, the pictures.
 
 A set-up that changes once, half-way, is two good data sets that contradict each other. Half of the
 views then disagree with the other half, so no single view looks wrong, and medians over pairs of
 views may stay small. Therefore the transforms are fitted to the views on one side of every
 possible change; if the views on the other side disagree with them, but all by the same transform,
 that is the change. A lens that zoomed by z makes the camera's poses, which are computed with one
-focal length for all views, err in depth only: by one factor before and by z times it after.
+focal length for all views, err in depth only: by one factor before and by z times it after. Where
+pictures were mirrored, the other side agrees by one transform once its poses are mirrored back.
 
 A change is named if it is likely (`misfit_evidence.py`) and large. It is large if it explains more
 than all else together: by a size s half-way, it leaves s / 2 in every view of a fit to all of them.
@@ -23,6 +24,7 @@ from jaxtyping import Bool
 from ..geometry import mean_matrix
 from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
 from .misfit_evidence import STRONG_EVIDENCE, errors_of, evidence
+from .picture_turns import MIRRORED, PictureTurn, mirrored_poses, turn_of_change
 from .transform_fit import (
     TransformFit,
     fit_transforms,
@@ -32,8 +34,6 @@ from .transform_fit import (
     misfits,
     motions_from_camera_to_target,
     moved_text,
-    quarter_turns,
-    turned_text,
 )
 
 MAX_ZOOM = 5.0
@@ -75,13 +75,13 @@ class Change(NamedTuple):
 
     Attributes:
         kind: `"camera"` for the camera against its mount, `"target"` for the target against its
-            holder, `"zoom"` for the lens.
+            holder, `"zoom"` for the lens, `"mirror"` for pictures that were mirrored.
         first_view: index of the first view after it.
         translation, rotation: size of the change of the frame, m and rad; for a zoom, by how much
             the target seems to come nearer or to recede.
         zoom: ratio of the focal length after the change to the one before; 1 for other kinds.
-        quarter_turns: 1, 2 or 3 where the pictures on one side of the change seem to be turned by
-            so many right angles against the other side's, else 0.
+        turn: how the pictures on one side of the change seem to be turned or mirrored against the
+            other side's; None for other changes.
         misfit: mean misfit over the views with the change, m and rad.
         score: rotation plus translation over the distance to the target.
         size: the same of the change itself.
@@ -94,7 +94,7 @@ class Change(NamedTuple):
     translation: float
     rotation: float
     zoom: float
-    quarter_turns: int
+    turn: PictureTurn | None
     misfit: tuple[float, float]
     score: float
     size: float
@@ -134,8 +134,8 @@ class ChangeReport(NamedTuple):
         best = self.changes[0]
         causes = ", or as if ".join(_causes(change, mount) for change in self.changes)
         advice = "Calibrate the two parts separately"
-        if best.quarter_turns:
-            advice = "Did a program turn some pictures? Turn them back"
+        if best.turn is not None:
+            advice = best.turn.advice
         return (
             f"from view {view_ids[best.first_view]} on, the views contradict the earlier ones, as "
             f"if {causes}: with such a change robot and camera agree to "
@@ -148,8 +148,8 @@ def _causes(change: Change, mount: str) -> str:
     """Return what may have been changed, and by how much, as a clause."""
     if change.kind == "zoom":
         return f"the lens had zoomed by {100.0 * (change.zoom - 1.0):+.1f} %"
-    if change.quarter_turns:
-        return f"{turned_text(change.quarter_turns)}, before it or after it"
+    if change.turn is not None:
+        return f"the pictures had been {change.turn.text}, before it or after it"
     return moved_text(change.kind, mount, (change.translation, change.rotation))
 
 
@@ -264,21 +264,21 @@ class _Search(NamedTuple):
         # The transforms of the side with more views, from which the other side differs.
         reference = after if 2 * after.sum() >= len(after) else ~after
         fit = fit_transforms(self.robot, self.camera, reference)
-        on_mount = fit.closure
-        to_holder = np.linalg.inv(self.robot)
-        for kind in ("camera", "target"):
-            given, closure = self.fit.closure, on_mount
-            # Errors are compared in one frame: a target's tilt varies about one axis of its own.
-            if kind == "target":
-                given, closure = (to_holder @ part @ self.robot for part in (given, closure))
-            change = mean_matrix(closure[~reference], np.ones(np.count_nonzero(~reference)))
-            corrected = closure.copy()
-            corrected[~reference] = np.linalg.inv(change) @ closure[~reference]
-            translation, rotation = misfits(change).tolist()
-            turns = 0
-            if kind == "camera":
-                turns = quarter_turns(fit.camera_from_mount, change, self.distance)
-            yield self._change(kind, place, (translation, rotation), (1.0, turns), given, corrected)
+        yield from self._moves(place, fit, reference, fit.closure)
+        mirrored = self.camera.copy()
+        mirrored[~reference] = mirrored_poses(self.camera[~reference])
+        of_mirrored = fit.closure_of(self.robot, mirrored)
+        for move in self._moves(place, fit, reference, of_mirrored):
+            # What the mirror leaves over is small, but what it explains is not.
+            translation, rotation = mean_misfit(fit.closure[~reference], self.distance)[0]
+            size = rotation + translation / self.distance
+            yield move._replace(
+                kind="mirror",
+                translation=translation,
+                rotation=rotation,
+                turn=MIRRORED,
+                size=size,
+            )
         before_factor, after_factor = self._depth_factors(after)
         # No lens zooms so far between two pictures of one target; poses that fit nothing seem to.
         if not (before_factor > 0.0 and 1.0 / MAX_ZOOM < after_factor / before_factor < MAX_ZOOM):
@@ -288,7 +288,34 @@ class _Search(NamedTuple):
         corrected = fit_transforms(self.robot, camera).closure
         zoom = after_factor / before_factor
         moved = abs(zoom - 1.0) * self.distance, 0.0
-        yield self._change("zoom", place, moved, (zoom, 0), self.fit.closure, corrected)
+        yield self._change("zoom", place, moved, self.fit.closure, corrected)._replace(zoom=zoom)
+
+    def _moves(
+        self, place: int, fit: TransformFit, reference: Bool[np.ndarray, "views"], closure: Poses
+    ) -> Iterator[Change]:
+        """Yield the changes of camera and target by which the other side agrees with the reference.
+
+        Args:
+            place: index of the first view after the change.
+            fit: of the side that is the reference.
+            reference: mask of its views.
+            closure: of all views with that fit.
+        """
+        for kind in ("camera", "target"):
+            given, corrected = self.fit.closure, closure.copy()
+            # Errors are compared in one frame: a target's tilt varies about one axis of its own.
+            if kind == "target":
+                to_holder = np.linalg.inv(self.robot)
+                given, corrected = (to_holder @ part @ self.robot for part in (given, corrected))
+            other = corrected[~reference]
+            change = mean_matrix(other, np.ones(len(other)))
+            corrected[~reference] = np.linalg.inv(change) @ other
+            translation, rotation = misfits(change).tolist()
+            named = self._change(kind, place, (translation, rotation), given, corrected)
+            if kind == "camera":
+                turn = turn_of_change(fit.camera_from_mount, change, self.distance)
+                named = named._replace(turn=turn)
+            yield named
 
     def _depth_factors(self, after: Bool[np.ndarray, "views"]) -> tuple[float, float]:
         """Return true depth over measured depth, before and after a zoom.
@@ -315,18 +342,14 @@ class _Search(NamedTuple):
         kind: str,
         place: int,
         moved: tuple[float, float],
-        pictures: tuple[float, int],
         given: Poses,
         corrected: Poses,
     ) -> Change:
-        """Return a change with the misfit and the evidence of the corrected closure.
-
-        `pictures` are the zoom and the quarter turns.
-        """
+        """Return a change with the misfit and the evidence of the corrected closure."""
         misfit, score = mean_misfit(corrected, self.distance)
         size = moved[1] + moved[0] / self.distance
         parameters = 2 if kind == "zoom" else 6
         # A change may be at any place.
         odds = evidence(errors_of(given), errors_of(corrected), parameters)
         odds -= 2.0 * np.log(self.place_count)
-        return Change(kind, place, *moved, *pictures, misfit, score, size, odds)
+        return Change(kind, place, *moved, 1.0, None, misfit, score, size, odds)

@@ -12,6 +12,7 @@ from .convention_hypotheses import (
     listed_views,
     removes_most,
 )
+from .picture_turns import PictureTurn
 
 MAX_RIVAL_SCORE_RATIO = 2.0
 """Ratio to the best closure score up to which another mistake explains the data as well."""
@@ -132,7 +133,7 @@ def _unexplained_text(
 
 
 def problem_of_views(
-    given_error: ClosureError, error: ClosureError, names: Sequence[str]
+    given_error: ClosureError, error: ClosureError, names: Sequence[str], turn: PictureTurn | None
 ) -> tuple[str, ...]:
     """Return a problem that names the views without which robot and camera move alike.
 
@@ -140,14 +141,19 @@ def problem_of_views(
         given_error: of all views.
         error: of the views that are not named.
         names: of the views that may be wrong.
+        turn: how the pictures of all of them seem to be turned or mirrored; None if they do not.
     """
     if not (removes_most(error, given_error) and error.score < MAX_CLOSURE_SCORE):
         return ()
+    question = (
+        "were these poses read for these pictures, or do the pictures show another target like "
+        "it? Leave them out, or correct them"
+    )
+    if turn is not None:
+        question = f"their pictures seem to be {turn.text}. {turn.advice}"
     return (
         f"robot and camera do not move alike as given ({closure_error_text(given_error)}), but do "
-        f"without {listed_views(names)} ({closure_error_text(error, short=True)}): were these "
-        "poses read for these pictures, or do the pictures show another target like it? Leave them "
-        "out, or correct them",
+        f"without {listed_views(names)} ({closure_error_text(error, short=True)}): {question}",
     )
 
 

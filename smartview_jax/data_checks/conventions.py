@@ -17,7 +17,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import mount_frames
-from ..dataset import turns_about_one_axis, turns_about_one_point
+from ..dataset import MINIMUM_RELIABLE_VIEWS, turns_about_one_axis, turns_about_one_point
 from ..geometry import host_matrices
 from .closure import (
     CLOSURE_SCORE_FLOOR,
@@ -50,12 +50,15 @@ from .inverted_poses import inverted_poses_doubt
 from .length_units import length_unit_problems, size_doubt
 from .mistakes import mistakes
 from .pairing import are_paired
+from .picture_turns import turn_of_picture
 from .rotation_angles import (
     angle_differences,
     compared_views,
     median_rotation_angles,
     suspicious_views,
 )
+from .transform_fit import fit_transforms, median_distance
+from .view_consistency import MAX_REJECTED_FRACTION
 
 
 class ConventionReport(NamedTuple):
@@ -155,11 +158,17 @@ def check_conventions(
         return ConventionReport((), (), mismatch, 1.0, (0.0, 0.0), ())
     in_hand = mount_frames(mount)[0] == "tool"
     ids = [str(view) for view in range(len(robot))] if view_ids is None else view_ids
-    chain = _ComparedChain.of(GivenPoses(robot, camera), used, in_hand, tracked, ids)
-    hypotheses = _likely_mistakes(chain, turns)
     suspicious = suspicious_views(differences)
-    views_suspected = [view for view, _ in suspicious]
-    problems, inaccuracy = _problems(chain, hypotheses, mismatch, views_suspected)
+    suspected = [view for view, _ in suspicious]
+    chain = _ComparedChain.of(GivenPoses(robot, camera), used, in_hand, tracked, ids)
+    # A few wrong views, which are left out later, need not spoil what enough others say.
+    rest = used & ~np.isin(np.arange(len(used)), suspected)
+    most = min(MAX_REJECTED_FRACTION * used.sum(), used.sum() - MINIMUM_RELIABLE_VIEWS)
+    if 0 < len(suspected) <= most:
+        chain_of_rest = _ComparedChain.of(chain.given, rest, in_hand, tracked, ids)
+        chain = chain_of_rest if chain_of_rest.is_accepted else chain
+    hypotheses = _likely_mistakes(chain, turns)
+    problems, inaccuracy = _problems(chain, hypotheses, mismatch, suspected)
     ambiguities = () if problems else _ambiguities(chain)
     if tracked:
         problems, ambiguities = (
@@ -274,37 +283,60 @@ def _problems(
         mismatch: median difference of the rotation angles, rad.
         suspicious: views whose rotation angles differ.
     """
-    robot, camera, used = chain.given.robot, chain.given.camera, chain.used
-    problems = ()
-    if hypotheses:
-        angles = median_rotation_angles(robot, camera, compared_views(used))
-        # Positions that fit in another size of the target are not in another frame.
-        positions = not chain.tracked and closure_error(chain.motions, chain.ratio.value).score > (
-            MAX_CORRECTED_SCORE_RATIO * chain.error.score
-        )
-        problems = convention_problems(chain.error, hypotheses, mismatch, angles, positions)
-    inaccuracy = ""
+    problems, inaccuracy = _problems_of_mistakes(chain, hypotheses, mismatch), ""
     if problems and not is_explained(chain.error, hypotheses):
-        if of_views := _problem_of_some_views(chain, suspicious):
+        if of_views := _problem_of_views(chain, suspicious):
             problems = of_views
         elif _are_inaccurate(chain, hypotheses):
             problems, inaccuracy = (), inaccuracy_text(chain.error)
     # A wrong convention distorts the length ratio too, so units are checked only without one.
-    units = length_unit_problems(chain.ratio.value, robot, camera, used, chain.tracked)
+    robot, camera = chain.given.robot, chain.given.camera
+    units = length_unit_problems(chain.ratio.value, robot, camera, chain.used, chain.tracked)
     return problems or units, "" if units else inaccuracy
 
 
-def _problem_of_some_views(chain: _ComparedChain, suspicious: Sequence[int]) -> tuple[str, ...]:
-    """Return a problem of the suspicious views, if robot and camera move alike without them."""
-    used = chain.used
+def _problems_of_mistakes(
+    chain: _ComparedChain, hypotheses: tuple[ConventionHypothesis, ...], mismatch: float
+) -> tuple[str, ...]:
+    """Return the mistakes that make robot and camera move differently, in sentences.
+
+    Args:
+        chain: the motions.
+        hypotheses: likely mistakes.
+        mismatch: median difference of the rotation angles, rad.
+    """
+    if not hypotheses:
+        return ()
+    compared = compared_views(chain.used)
+    angles = median_rotation_angles(chain.given.robot, chain.given.camera, compared)
+    # Positions that fit in another size of the target are not in another frame.
+    positions = not chain.tracked and closure_error(chain.motions, chain.ratio.value).score > (
+        MAX_CORRECTED_SCORE_RATIO * chain.error.score
+    )
+    return convention_problems(chain.error, hypotheses, mismatch, angles, positions)
+
+
+def _problem_of_views(chain: _ComparedChain, suspicious: Sequence[int]) -> tuple[str, ...]:
+    """Return that some views are wrong, in a sentence, if the others agree.
+
+    Args:
+        chain: the motions.
+        suspicious: views whose rotation angles differ.
+    """
+    robot, camera, used = chain.given.robot, chain.given.camera, chain.used
     rest = used & ~np.isin(np.arange(len(used)), suspicious)
     # Three views close with some wrong poses, too.
     if not 3 < rest.sum() < used.sum():
         return ()
-    error = closure_error(
-        motions_of_mount(chain.given.robot, chain.given.camera, rest, chain.in_hand)
-    )
-    return problem_of_views(chain.error, error, [chain.ids[view] for view in suspicious])
+    error = closure_error(motions_of_mount(robot, camera, rest, chain.in_hand))
+    mount_from_holder = np.linalg.inv(robot) if chain.in_hand else robot
+    fit = fit_transforms(mount_from_holder, camera, rest)
+    turns = {
+        turn_of_picture(fit, mount_from_holder[view], camera[view], median_distance(camera[used]))
+        for view in suspicious
+    }
+    turn = turns.pop() if len(turns) == 1 and not chain.tracked else None
+    return problem_of_views(chain.error, error, [chain.ids[view] for view in suspicious], turn)
 
 
 def _are_inaccurate(chain: _ComparedChain, hypotheses: tuple[ConventionHypothesis, ...]) -> bool:

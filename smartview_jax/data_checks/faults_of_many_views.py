@@ -38,6 +38,8 @@ class SharedFault(NamedTuple):
         explains_most: whether robot and camera agree far better without it.
         first_view: index of the first view after a change; 0 where every view is wrong.
         may_be_zoom: whether a lens that zoomed once explains the views about as well.
+        score: rotation plus translation over the distance to the target, with the fault; infinite
+            where it was not compared.
     """
 
     sentence: str
@@ -45,6 +47,7 @@ class SharedFault(NamedTuple):
     explains_most: bool
     first_view: int = 0
     may_be_zoom: bool = False
+    score: float = np.inf
 
     def divides(self, agreeing: Bool[np.ndarray, "views"]) -> bool:
         """Return whether views that agree contain the fault, so that no majority is right.
@@ -105,8 +108,8 @@ def find_shared_fault(
         # Another size of the target may be all that is wrong.
         limit = _score_of_all(poses, used)
         as_reported = _faults(poses._replace(length_ratio=1.0), used, agreeing)
-        faults += [fault for fault in as_reported if fault[0] < limit]
-    best = min(faults, key=lambda entry: entry[0])[1] if faults else None
+        faults += [fault for fault in as_reported if fault.score < limit]
+    best = min(faults, key=lambda fault: fault.score, default=None)
     # A tracker loses its target and finds it elsewhere, which the fit of its poses treats itself.
     if poses.tracked or (best is not None and best.explains_most):
         return best
@@ -114,7 +117,8 @@ def find_shared_fault(
     groups = find_groups(robot, poses.camera_from_world, used)
     # Groups that follow each other are what a change leaves.
     if groups is not None and not (best is not None and best.first_view and groups.are_in_order):
-        return SharedFault(groups.sentence(poses.mount, poses.view_ids), True, True)
+        sentence = groups.sentence(poses.mount, poses.view_ids)
+        return SharedFault(sentence, True, True, score=groups.score)
     # A focus has an error of its own in every view, which explains much of other faults as well.
     if groups is not None or poses.distances is None:
         return best
@@ -122,7 +126,7 @@ def find_shared_fault(
     if focus is None:
         return best
     # A lens that zoomed once is told from which view on.
-    zoomed = (fault for _, fault in faults if fault.may_be_zoom)
+    zoomed = (fault for fault in faults if fault.may_be_zoom)
     return next(zoomed, SharedFault(focus.sentence(poses.view_ids), False, True))
 
 
@@ -144,29 +148,28 @@ def _faults(
     poses: RobotAndCamera,
     used: Bool[np.ndarray, "views"],
     agreeing: Bool[np.ndarray, "views"] | None,
-) -> Iterator[tuple[float, SharedFault]]:
-    """Yield the faults that explain the views, each with the score that it leaves."""
+) -> Iterator[SharedFault]:
+    """Yield the faults that explain the views."""
     camera, mount, ratio = poses.camera_from_world, poses.mount, poses.length_ratio
     robot = host_mount_from_holder(mount, poses.base_from_tool)
     lag = find_lag(poses.base_from_tool, camera, used, mount, ratio)
     if lag is None and agreeing is not None and (agreeing != used).any():
         lag = find_lag(poses.base_from_tool, camera, agreeing, mount, ratio)
     if lag is not None:
-        yield lag.score, SharedFault(lag.sentence(poses.tracked), lag.contradicts, True)
+        sentence = lag.sentence(poses.tracked)
+        yield SharedFault(sentence, lag.contradicts, True, score=lag.score)
     if (change := find_change(robot, camera, used, ratio)) is not None:
         sentence, best = change.sentence(mount, poses.view_ids), change.changes[0]
-        yield (
-            best.score,
-            SharedFault(
-                sentence,
-                change.contradicts,
-                change.explains_most,
-                best.first_view,
-                may_be_zoom=any(named.kind == "zoom" for named in change.changes),
-            ),
+        yield SharedFault(
+            sentence,
+            change.contradicts,
+            change.explains_most,
+            best.first_view,
+            may_be_zoom=any(named.kind == "zoom" for named in change.changes),
+            score=best.score,
         )
     if poses.drifts:
         return
     if (drift := find_drift(robot, camera, used, ratio)) is not None:
         sentence = drift.sentence(mount, poses.view_ids)
-        yield drift.score, SharedFault(sentence, drift.contradicts, True)
+        yield SharedFault(sentence, drift.contradicts, True, score=drift.score)

@@ -1,9 +1,10 @@
 """Name the usual mistakes in joint readings, and in the description of the arm that has them.
 
 Poses that were computed from joints cannot have been read in a wrong format, but a joint may count
-the other way round, have its zero elsewhere, or stand in another column (ROS sorts joints by their
-names). Each is reversed in the readings, and the poses that the arm then has are compared with the
-camera's, as the mistakes in poses are (`conventions.py`).
+the other way round, have another zero or another unit, stand in another column (ROS sorts joints by
+their names), or turn with its neighbour (Fanuc's third joint with the second). Each is reversed in
+the readings, and the poses that the arm then has are compared with the camera's, as the mistakes in
+poses are (`conventions.py`).
 """
 
 import dataclasses
@@ -86,12 +87,42 @@ def joint_mistakes(readings: Readings, arm: SerialArm) -> Iterator[JointMistake]
         (180.0 / np.pi, "the readings are radians, not degrees: state angle_unit: rad"),
     ):
         yield JointMistake(words, np.where(revolute, factor, 1.0) * readings, arm)
+    yield from _mistakes_of_units(readings, arm)
+    yield from _coupled_joints(readings, arm)
     other = "modified" if arm.convention == "standard" else "standard"
     yield JointMistake(
         f"the Denavit-Hartenberg parameters are {other} ones: state convention: {other}",
         readings,
         dataclasses.replace(arm, convention=other),
     )
+
+
+def _mistakes_of_units(readings: Readings, arm: SerialArm) -> Iterator[JointMistake]:
+    """Yield the mistakes of a single joint that is read in another unit of angle."""
+    for joint in np.flatnonzero(~np.array(arm.prismatic)):
+        for factor, read, expected in (
+            (np.pi / 180.0, "degrees", "radians"),
+            (180.0 / np.pi, "radians", "degrees"),
+        ):
+            corrected = readings.copy()
+            corrected[:, joint] *= factor
+            words = f"the readings of joint {joint + 1} are {read} where the others are {expected}"
+            yield JointMistake(words, corrected, arm)
+
+
+def _coupled_joints(readings: Readings, arm: SerialArm) -> Iterator[JointMistake]:
+    """Yield the mistakes of a joint that turns with the joint before it as well."""
+    revolute = ~np.array(arm.prismatic)
+    for joint in np.flatnonzero(revolute[1:] & revolute[:-1]) + 1:
+        for sign, word in ((1.0, "plus"), (-1.0, "minus")):
+            corrected = readings.copy()
+            corrected[:, joint] += sign * readings[:, joint - 1]
+            yield JointMistake(
+                f"joint {joint + 1} turns by its own reading {word} the one of joint {joint}: they "
+                "are coupled",
+                corrected,
+                arm,
+            )
 
 
 def joint_problem(

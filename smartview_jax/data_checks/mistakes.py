@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from .angle_formats import Rotations
 from .given_poses import GivenPoses, Mistake, Poses, numbered_alike, rotation_mistake
 from .misread_angles import angle_format_mistakes
+from .picture_turns import mirrored_poses
 
 OTHER_CORNER = "numbered_from_another_corner"
 """Name of the mistake of points that are numbered from another corner in some views."""
@@ -52,7 +53,7 @@ def mistakes(
         if tracked
         else "the pictures are mirrored (left and right, or top and bottom, are swapped), or the "
         "robot's frame is left-handed, positions and rotations alike (one axis counts backwards)",
-        lambda given: (given.robot, _mirror_camera_poses(given.camera)),
+        lambda given: (given.robot, mirrored_poses(given.camera)),
     )
     if turns is not None:
         yield Mistake(
@@ -116,23 +117,12 @@ def _with_quaternions_in_order(rotations: Rotations, order: list[int]) -> Rotati
     return Rotation.from_quat(quaternions[:, order]).as_matrix()
 
 
-def _mirror_camera_poses(camera: Poses) -> Poses:
-    """Return the camera poses of a flat target with every picture mirrored left to right.
-
-    A mirrored view of a plane is a view of it from behind: `F R diag(1, 1, -1)` and `F t`, with F
-    the mirror. Top and bottom swapped is the same with the camera rotated by 180 degrees about its
-    optical axis, which the hand-eye transform absorbs.
-    """
-    mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
-    return mirror @ camera @ np.diag([1.0, 1.0, -1.0, 1.0])
-
-
 def _left_handed_positions() -> Iterator[Mistake]:
     """Yield the mistakes of positions with one axis backwards, whose rotations are right.
 
     Where the rotations are in the left-handed frame as well, no data tell this from mirrored
     pictures: with S = diag(1, -1, 1, 1) the robot poses S T S need the camera poses F C S of
-    `_mirror_camera_poses`, up to rotations that hand-eye and world transform absorb.
+    `mirrored_poses`, up to rotations that hand-eye and world transform absorb.
     """
     for axis, name in enumerate("xyz"):
         signs = np.ones(3)

@@ -61,6 +61,9 @@ class MovedCamera(NamedTuple):
         if change.kind == "zoom":
             zoom = 100.0 * (change.zoom - 1.0)
             return f"the lens of camera {self.pair[1]!r} had zoomed by {zoom:+.1f} %"
+        if change.turn is not None:
+            names = " or ".join(map(repr, self.suspects))
+            return f"the pictures of camera {names} had been {change.turn.text}"
         by = f"by {misfit_text((change.translation, change.rotation))}"
         if change.kind == "target":
             return f"a target had been moved that only one of them sees {by}"

@@ -8,17 +8,13 @@ from jaxtyping import Bool, Float, Int
 
 from ..calibration import mount_frames
 from ..dataset import undetermined_twists
-from ..geometry import host_logarithms, host_matrices, host_rotation_vectors
+from ..geometry import host_logarithms, host_matrices
 from ..hand_eye import mean_camera_from_mount, minimum_norm_transforms, park_martin_matrices
 from .closure import Poses
 from .misfit_evidence import errors_of, in_parts
 
 Matrix = Float[np.ndarray, "4 4"]
 """A homogeneous matrix, m."""
-
-MAX_TURN_ERROR, MAX_TURN_SHIFT = float(np.deg2rad(2.0)), 0.05
-"""Differences (rotation, rad, and translation over the distance to the target) of a change from a
-turn about the optical axis, up to which it is one: the lens is not in the picture's very middle."""
 
 
 class TransformFit(NamedTuple):
@@ -38,6 +34,12 @@ class TransformFit(NamedTuple):
     def misfit(self) -> Float[np.ndarray, "views 2"]:
         """The misfit of each view: translation (m), rotation (rad)."""
         return misfits(self.closure)
+
+    def closure_of(self, mount_from_holder: Poses, camera_from_world: Poses) -> Poses:
+        """Return the closure error of other poses with these transforms."""
+        return _closures(
+            self.camera_from_mount, self.holder_from_world, mount_from_holder, camera_from_world
+        )
 
 
 def misfits(closure: Poses) -> Float[np.ndarray, "*batch views 2"]:
@@ -95,32 +97,6 @@ def moved_text(kind: str, mount: str, size: tuple[float, float]) -> str:
         held = "the camera had been moved" + (" on the tool" if in_hand else "")
         frame = "tool" if in_hand else "base"
     return f"{held} (or the controller's {frame} frame changed) by {misfit_text(size)}"
-
-
-def turned_text(quarter_turns: int) -> str:
-    """Return by how much pictures may have been turned, as a clause."""
-    return f"the pictures had been turned by {90 * quarter_turns} degrees"
-
-
-def quarter_turns(camera_from_mount: Matrix, change: Matrix, distance: float) -> int:
-    """Return by how many right angles a change turns the camera about its axis; 0 if it does not.
-
-    Args:
-        camera_from_mount: the hand-eye transform.
-        change: of the mount's frame.
-        distance: median distance of the target, m.
-    """
-    of_camera = camera_from_mount @ change @ np.linalg.inv(camera_from_mount)
-    for turns in (1, 2, 3):
-        back = np.eye(4)
-        cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[turns]
-        back[:2, :2] = [[cosine, sine], [-sine, cosine]]
-        remaining = back @ of_camera
-        angle = float(np.linalg.norm(host_rotation_vectors(remaining)))
-        shift = float(np.linalg.norm(remaining[:3, 3]))
-        if angle < MAX_TURN_ERROR and shift < MAX_TURN_SHIFT * distance:
-            return turns
-    return 0
 
 
 def motions_of_views(

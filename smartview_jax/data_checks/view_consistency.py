@@ -21,6 +21,7 @@ from ..dataset import MINIMUM_RELIABLE_VIEWS, Observations, chain_residuals, med
 from ..geometry import host_matrices, host_rotation_angles, host_transforms
 from .closure import MAX_CLOSURE_SCORE, Poses
 from .largest_group import largest_group
+from .picture_turns import turn_of_picture
 from .transform_fit import (
     TransformFit,
     fit_transforms,
@@ -147,11 +148,7 @@ def find_consistent_views(
     errors = errors_with(fit.transforms) if rejected else None
     reasons = {}
     for view in rejected:
-        explanation = (
-            OTHER_CORNER_TEXT
-            if turns is not None and _fits_turned(view, fit, robot, camera, turns)
-            else _matching_pose_text(view, fit, robot, camera, ids)
-        )
+        explanation = _explanation(view, fit, robot, camera, ids, turns)
         reasons[view] = f"{_disagreement(view, fit, errors, consistent)}: {explanation}"
     return ViewConsistency(consistent, reasons, tuple(uncertain))
 
@@ -262,6 +259,24 @@ def _hidden_views(
     if agreeing.sum() < (1.0 - MAX_REJECTED_FRACTION) * len(views):
         return none
     return views[~agreeing]
+
+
+def _explanation(
+    view: int,
+    fit: _JudgedFit,
+    robot: Poses,
+    camera: Poses,
+    ids: Sequence[str],
+    turns: Float[np.ndarray, "turns 4 4"] | None,
+) -> str:
+    """Return what may be wrong with a view that contradicts the others, in words."""
+    if turns is not None and _fits_turned(view, fit, robot, camera, turns):
+        return OTHER_CORNER_TEXT
+    distance = float(np.linalg.norm(camera[view, :3, 3]))
+    turned = turn_of_picture(fit.transforms, robot[view], camera[view], distance)
+    if turned is not None:
+        return f"its picture seems to be {turned.text}: {turned.remedy}"
+    return _matching_pose_text(view, fit, robot, camera, ids)
 
 
 def _fits_turned(

@@ -22,6 +22,7 @@ from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
 from .convention_hypotheses import listed_views
 from .largest_group import MAX_DISAGREEMENT, MIN_GROUP, disagreements, largest_group
 from .misfit_evidence import VERY_STRONG_EVIDENCE, errors_of, evidence
+from .picture_turns import MIRRORED, PictureTurn, mirrored_poses, turn_of_change
 from .transform_fit import (
     fit_transforms,
     mean_misfit,
@@ -30,8 +31,6 @@ from .transform_fit import (
     misfits,
     motions_from_camera_to_target,
     moved_text,
-    quarter_turns,
-    turned_text,
 )
 
 
@@ -59,14 +58,14 @@ class ViewGroup(NamedTuple):
     Attributes:
         views: indices of the views.
         translation, rotation: size of the change from the largest group's frame, m and rad.
-        quarter_turns: 1, 2 or 3 where their pictures seem to be turned by so many right angles
-            against the largest group's, else 0.
+        turn: how their pictures seem to be turned or mirrored against the largest group's; None
+            where they do not.
     """
 
     views: tuple[int, ...]
     translation: float = 0.0
     rotation: float = 0.0
-    quarter_turns: int = 0
+    turn: PictureTurn | None = None
 
 
 class ViewGroups(NamedTuple):
@@ -74,7 +73,7 @@ class ViewGroups(NamedTuple):
 
     Attributes:
         kind: `"camera"` where the camera is another one on its mount, `"target"` where the target
-            is elsewhere on its holder.
+            is elsewhere on its holder, `"mirror"` where pictures were mirrored.
         groups: the largest one first.
         misfit, given_misfit: mean misfit over their views with the changes and without, m and rad.
         score: rotation plus translation over the distance to the target, with the changes.
@@ -107,14 +106,15 @@ class ViewGroups(NamedTuple):
         differences = [
             f"{named(group)}, as if "
             + (
-                turned_text(group.quarter_turns)
-                if group.quarter_turns
+                f"the pictures had been {group.turn.text}"
+                if group.turn is not None
                 else moved_text(self.kind, mount, (group.translation, group.rotation))
             )
             for group in others
         ]
-        if all(group.quarter_turns for group in others):
-            question = "Did a program turn some pictures? Turn them back"
+        turns = [group.turn for group in others]
+        if turns[0] is not None and None not in turns:
+            question = turns[0].advice
         elif self.kind == "camera":
             question = (
                 "Are pictures of several cameras mixed, or poses of several tools? Calibrate each "
@@ -164,14 +164,20 @@ def find_groups(
     if largest.sum() <= MIN_GROUP:
         return None
     fit = fit_transforms(robot, camera, largest)
-    on_holder = np.linalg.inv(robot) @ fit.closure @ robot
-    kinds = {
-        kind: (closure, _gathered(closure, ~largest, distance, options))
-        for kind, closure in (("camera", fit.closure), ("target", on_holder))
-    }
+    of_mirrored = fit.closure.copy()
+    of_mirrored[~largest] = fit.closure_of(robot, mirrored_poses(camera))[~largest]
+    gathered = [
+        (name, closure, _gathered(closure, ~largest, distance, options))
+        for kind, on_mount in (("", fit.closure), ("mirror", of_mirrored))
+        for name, closure in (
+            (kind or "camera", on_mount),
+            (kind or "target", np.linalg.inv(robot) @ on_mount @ robot),
+        )
+    ]
     # The kind that leaves the fewest views alone, with the fewest groups.
-    kind = max(kinds, key=lambda kind: (sum(map(len, kinds[kind][1])), -len(kinds[kind][1])))
-    closure, others = kinds[kind]
+    kind, closure, others = max(
+        gathered, key=lambda entry: (sum(map(len, entry[2])), -len(entry[2]))
+    )
     # In the order of the views: errors of successive ones are alike.
     members = np.sort(np.concatenate([np.flatnonzero(largest), *others]))
     if not others or len(members) < options.min_share * len(views):
@@ -182,10 +188,10 @@ def find_groups(
         change = mean_matrix(closure[group], np.ones(len(group)))
         corrected[group] = np.linalg.inv(change) @ closure[group]
         translation, rotation = misfits(change).tolist()
-        turns = 0
+        turn = MIRRORED if kind == "mirror" else None
         if kind == "camera":
-            turns = quarter_turns(fit.camera_from_mount, change, distance)
-        groups.append(ViewGroup(tuple(views[group].tolist()), translation, rotation, turns))
+            turn = turn_of_change(fit.camera_from_mount, change, distance)
+        groups.append(ViewGroup(tuple(views[group].tolist()), translation, rotation, turn))
     # A view that is wrong by itself, and in no group, bends a fit to all of them.
     of_members = np.isin(np.arange(len(views)), members)
     given = fit_transforms(robot, camera, of_members).closure[members]

@@ -16,6 +16,8 @@ from ..cameras import AbstractLens, Camera, initial_lens, lens_name
 from ..data_checks import (
     TRIED_LENSES,
     CameraDoubt,
+    CameraMisfit,
+    camera_misfit,
     find_border_misfit,
     find_flexible_target,
     mask_unusable_views,
@@ -108,21 +110,32 @@ class PictureFit(NamedTuple):
         """Run Step 2 again from another camera or other poses of the views."""
         return self.steps.common(self.observations, camera, camera_from_world, self.start_inliers)
 
-    def doubts(self, used: Bool[np.ndarray, "views"]) -> tuple[CameraDoubt | None, tuple[str, ...]]:
+    def misfit(self, used: Bool[np.ndarray, "views"]) -> CameraMisfit | None:
+        """Return how badly one camera fits some views; None if it fits, or nothing tells."""
+        common = self.common
+        return camera_misfit(self.observations, used, common.camera, common.camera_from_world)
+
+    def doubts(
+        self, used: Bool[np.ndarray, "views"], misfit: CameraMisfit | None
+    ) -> tuple[CameraDoubt | None, tuple[str, ...]]:
         """Return what is wrong with the camera or the target in some views, if anything, in words.
 
         The first is what is wrong with one camera for all views. Where nothing is, the sentence
         tells of a target that bends; a stretched target has its own doubt.
+
+        Args:
+            used: mask of the views.
+            misfit: of the camera in these views.
         """
-        doubt = common_camera_doubt(
-            self.observations,
-            used,
-            self.common,
-            self.steps.lens,
-            self.steps.camera is not None,
-            self._with_lens,
-        )
-        if doubt is not None:
+        if misfit is not None:
+            doubt = common_camera_doubt(
+                misfit,
+                self.observations,
+                used,
+                self.steps.lens,
+                self.steps.camera is not None,
+                self._with_lens,
+            )
             return doubt, (doubt.text,)
         border = self._border_doubt(used)
         if border:

@@ -12,10 +12,13 @@ from jaxtyping import Float
 
 from ..data_checks import (
     CameraDoubt,
+    CameraMisfit,
     ConventionReport,
     Findings,
+    ResizedPictures,
     RobotAndCamera,
     SeenDistances,
+    SharedFault,
     check_conventions,
     detection_findings,
     find_other_arm,
@@ -30,6 +33,7 @@ from ..data_checks import (
 )
 from ..dataset import Dataset, contradictory_views, repeated_pose_reason
 from .common_camera import PictureFit
+from .picture_parts import resized_pictures
 from .picture_steps import pixel_noise
 from .two_poses import PoseChoice, choose_poses
 
@@ -131,23 +135,28 @@ def check_motion(data: Dataset, views: PairedViews) -> MotionChecks:
         turns,
         data.view_ids,
     )
-    if views.choice is not None and views.choice.explained:
-        # The poses of a small target scatter by more than the check allows for.
+    # The poses of a small target scatter by more than the check allows for.
+    is_small_target = views.choice is not None and views.choice.explained
+    if is_small_target:
         report = report._replace(problems=(), hypotheses=(), inaccuracy="")
-    if views.choice is None and not report.explained:
+    if not (is_small_target or report.explained):
         report = _with_mistake_in_joints(report, data, common.camera_from_world, used)
-    camera_doubt, doubts = pictures.doubts(used)
-    if camera_doubt is not None and report.inaccuracy:
+    misfit, resized = pictures.misfit(used), None
+    if misfit is not None and report.inaccuracy:
         # Its poses are not noise about the true ones.
         report = report._replace(problems=(report.inaccuracy,), inaccuracy="")
     if not report.explained:
-        report = _with_fault_of_many_views(report, data, pictures, camera_doubt is None)
+        report, resized = _with_fault_of_many_views(report, data, pictures, misfit)
+    if resized is not None and misfit is not None:
+        camera_doubt, doubts = CameraDoubt(report.change, misfit), ()
+    else:
+        camera_doubt, doubts = pictures.doubts(used, misfit)
     # A target that bends does not hide a mistake that explains how robot and camera move.
     is_explained = report.explained or bool(report.change)
     findings = Findings(
         pose_findings(pictures.unusable | views.stale, data.view_ids),
         detection_findings(pictures.mismatched, data.view_ids),
-        () if camera_doubt is None and is_explained else doubts,
+        () if misfit is None and is_explained else doubts,
         report.problems,
         is_explained,
     )
@@ -185,12 +194,21 @@ def _with_fault_of_many_views(
     report: ConventionReport,
     data: Dataset,
     pictures: PictureFit,
-    camera_fits: bool,
-) -> ConventionReport:
+    misfit: CameraMisfit | None,
+) -> tuple[ConventionReport, ResizedPictures | None]:
     """Return the report with the one fault that makes many views wrong, if there is one.
 
     It is a problem where no calibration can be right with it, else a doubt. A camera that does not
     fit puts targets at wrong distances, so that nothing tells whether its focus changes.
+
+    Args:
+        report: without it.
+        data: the data set.
+        pictures: Steps 1 and 2.
+        misfit: of the common camera; None if it fits.
+
+    Returns:
+        The report; and the pictures that were resized, if these are the fault.
     """
     poses = RobotAndCamera(
         data.base_from_tool,
@@ -199,7 +217,7 @@ def _with_fault_of_many_views(
         data.view_ids,
         report.length_ratio,
     )
-    if camera_fits:
+    if misfit is None:
         distances = SeenDistances.of_points(
             np.asarray(data.points),
             np.asarray(data.pixels),
@@ -207,10 +225,17 @@ def _with_fault_of_many_views(
             pixel_noise(pictures.common),
         )
         poses = poses._replace(distances=distances)
-    fault = find_shared_fault(poses, pictures.used)
+    fault, resized = find_shared_fault(poses, pictures.used), None
+    if fault is not None or report.problems or misfit is not None:
+        first_view = 0 if fault is None else fault.first_view
+        resized = resized_pictures(pictures, data.mount_from_holder, first_view, misfit)
+    if resized is not None and fault is not None and fault.score <= resized.score:
+        resized = None
+    if resized is not None:
+        fault = SharedFault(resized.sentence(data.view_ids), resized.contradicts, True)
     if fault is None:
-        return report
+        return report, None
     report = report._replace(change=fault.sentence)
-    if not fault.contradicts:
-        return report
-    return report._replace(problems=(fault.sentence,), inaccuracy="")
+    if fault.contradicts:
+        report = report._replace(problems=(fault.sentence,), inaccuracy="")
+    return report, resized

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool
 from ..cameras import AbstractLens, Camera, Pinhole, Radial, initial_lens
 from ..data_checks import (
     CameraDoubt,
-    camera_misfit,
+    CameraMisfit,
     camera_problem,
     mask_unusable_views,
     minimum_points,
@@ -62,17 +62,34 @@ def run_step1(
         return Step1(None, camera, start, inliers, np.asarray(rms))
     distortion = not (lens == "pinhole" or isinstance(lens, Pinhole))
     step1 = calibrate_views(observations, image_size, distortion)
+    start_camera, start = start_of_step2(step1, used, lens, image_size)
+    return Step1(step1, start_camera, start, step1.inliers, np.asarray(step1.rms))
+
+
+def start_of_step2(
+    step1: ViewCalibrations,
+    used: Bool[np.ndarray, "views"],
+    lens: str | AbstractLens,
+    image_size: tuple[int, int],
+) -> tuple[Camera, SE3]:
+    """Return the camera and the poses from which one camera is fitted to some views.
+
+    Args:
+        step1: the calibration of each view by itself.
+        used: mask of the views.
+        lens: a name or a lens.
+        image_size: width and height, px.
+    """
     # The median over views: single views with a poor focal length do not spoil the start.
     medians = [float(np.median(np.asarray(values)[used])) for values in step1.intrinsics]
-    start_camera = Camera(
+    camera = Camera(
         *medians[:4], lens=initial_lens(lens, Radial(medians[4])), image_size=image_size
     )
     # The size in the picture is alpha / depth. A view with a larger alpha of its own has a larger
     # depth than it has with the common alpha, so depths are rescaled by the ratio.
     poses = np.array(step1.camera_from_world.wxyz_xyz)
     poses[:, 6] *= medians[0] / np.asarray(step1.intrinsics.alpha_u)
-    start = _fill_unused_poses(SE3(to_device(poses)), used)
-    return Step1(step1, start_camera, start, step1.inliers, np.asarray(step1.rms))
+    return camera, _fill_unused_poses(SE3(to_device(poses)), used)
 
 
 def _fill_unused_poses(poses: SE3, used: np.ndarray) -> SE3:
@@ -115,18 +132,14 @@ def pixel_noise(common_fit: CommonCameraFit) -> float:
 
 
 def common_camera_doubt(
+    misfit: CameraMisfit,
     observations: Observations,
     used: np.ndarray,
-    common_fit: CommonCameraFit,
     lens: str | AbstractLens,
     is_known: bool,
     fit_with: Callable[[str], CommonCameraFit],
-) -> CameraDoubt | None:
-    """Return what is wrong with the common camera, if anything; see `camera_problem`."""
-    camera, poses = common_fit.camera, common_fit.camera_from_world
-    misfit = camera_misfit(observations, used, camera, poses)
-    if misfit is None:
-        return None
+) -> CameraDoubt:
+    """Return what is wrong with the common camera; see `camera_problem`."""
 
     def camera_and_poses(name: str) -> tuple[Camera, SE3]:
         """Return the common camera with another lens, and the poses of the views."""

@@ -67,6 +67,9 @@ EXPLAINED_SHARE = 0.1
 """The share of the target's size in the picture, up to which its points are where the transforms
 put them: with any other pose of the target they would be off by more than half of its size."""
 
+MIN_EXPLAINED_VIEWS = 1.0 - MAX_REJECTED_FRACTION
+"""The smallest share of the views whose points have to be there; the others are left out."""
+
 
 class PoseChoice(NamedTuple):
     """The poses that agree with the robot's motion.
@@ -74,9 +77,9 @@ class PoseChoice(NamedTuple):
     Attributes:
         camera_from_world: of every view.
         exchanged: indices of the views whose other pose was taken.
-        explained: whether one pair of transforms predicts the points of the views to a small part
-            of the target's own size: robot and camera then move alike, however uncertain the poses
-            of single views are.
+        explained: whether one pair of transforms predicts the points of nearly all views to a
+            small part of the target's own size: robot and camera then move alike, however uncertain
+            the poses of single views are.
         outlying: by view index, why its pose in the robot's file cannot be its own; empty where too
             many views are off for that.
         warning: a sentence if another answer explains the pictures about as well, else empty.
@@ -135,13 +138,14 @@ def choose_poses(
     chosen = nearer_poses(candidates, best.camera @ robot @ best.world)
     exchanged = views[(chosen == 1) & asked]
     numbers = np.array(camera_from_world.wxyz_xyz)
+    distances = _distances(best, robot, sight)
     taken = candidates[chosen, np.arange(len(views))]
     numbers[views] = np.asarray(host_transforms(taken).wxyz_xyz)
     return PoseChoice(
         SE3(numbers),  # pyright: ignore[reportArgumentType]
         tuple(int(view) for view in exchanged),
-        best.scale < EXPLAINED_SHARE * _angular_size(sight),
-        {int(views[k]): text for k, text in _outlying(best, robot, sight, alpha).items()},
+        bool(np.mean(distances < EXPLAINED_SHARE * _angular_size(sight)) >= MIN_EXPLAINED_VIEWS),
+        {int(views[k]): text for k, text in _outlying(best, distances, alpha).items()},
         _rival_warning(
             ranked,
             alpha,
@@ -239,14 +243,20 @@ def _is_ambiguous(
     )
 
 
-def _outlying(best: Transforms, robot: Matrices, sight: Sight, alpha: float) -> dict[int, str]:
-    """Return the views whose points are not where the best transforms put them, and how far off."""
+def _distances(best: Transforms, robot: Matrices, sight: Sight) -> Float[np.ndarray, "views"]:
+    """Return how far the points of each view are from where transforms put them, RMS, as rays."""
     squares = np.minimum(
         squared_distances(best.camera[None], robot, best.world[None], sight)[0], MAX_SQUARE
     )
-    distance = np.sqrt(np.sum(squares, axis=1) / np.maximum(sight.seen.sum(axis=1), 1))
+    return np.sqrt(np.sum(squares, axis=1) / np.maximum(sight.seen.sum(axis=1), 1))
+
+
+def _outlying(
+    best: Transforms, distance: Float[np.ndarray, "views"], alpha: float
+) -> dict[int, str]:
+    """Return the views whose points are not where the best transforms put them, and how far off."""
     off = np.flatnonzero(distance > MAX_MISFIT_RATIO * best.scale)
-    if len(robot) < MINIMUM_RELIABLE_VIEWS or len(off) > MAX_REJECTED_FRACTION * len(robot):
+    if len(distance) < MINIMUM_RELIABLE_VIEWS or len(off) > MAX_REJECTED_FRACTION * len(distance):
         return {}
     usual = f"{alpha * best.scale:.2g} px in the usual view: mispaired or moved?"
     return {

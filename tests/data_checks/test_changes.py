@@ -65,6 +65,20 @@ def test_pictures_that_are_turned_from_a_view_on_are_no_moved_camera(turns):
     assert sentence.endswith("Turn them back")
 
 
+@pytest.mark.parametrize("mirror", [[-1.0, 1.0, 1.0, 1.0], [1.0, -1.0, 1.0, 1.0]])
+def test_pictures_that_are_mirrored_from_a_view_on_are_no_moved_camera(mirror):
+    """A mirrored view of a flat target is a view of it from behind."""
+    robot, camera = motions()
+    seen = host_matrices(camera).copy()
+    seen[FIRST_CHANGED:] = np.diag(mirror) @ seen[FIRST_CHANGED:] @ np.diag([1.0, 1.0, -1.0, 1.0])
+    report = find_change(robot, as_se3(seen), EVERY_VIEW)
+    assert [(change.kind, change.first_view) for change in report.changes] == [
+        ("mirror", FIRST_CHANGED)
+    ]
+    assert report.contradicts
+    assert report.sentence("eye_in_hand", IDS).endswith("Mirror them back")
+
+
 @pytest.mark.parametrize("noise", [(2e-4, 0.02), (5e-3, 0.5)])
 def test_a_zoom_is_named_with_its_size(noise):
     """The depth is too small by the zoom: the pictures are larger than the focal length says."""

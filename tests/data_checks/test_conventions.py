@@ -1,4 +1,5 @@
 import itertools
+import re
 
 import cv2
 import jax.numpy as jnp
@@ -442,6 +443,21 @@ def test_the_views_without_which_all_agree_are_named(poses, views, exchanged):
     order[exchanged] = np.roll(exchanged, 1)
     (problem,) = check_conventions(SE3(robot.wxyz_xyz[order]), seen, "eye_in_hand").problems
     assert f"but do without views {', '.join(map(str, exchanged))} (" in problem
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_mirrored_pictures_are_left_out_where_they_are_few_and_else_named(poses, count):
+    robot, seen = poses
+    camera = np.array(seen.as_matrix())
+    camera[:count] = (
+        np.diag([-1.0, 1.0, 1.0, 1.0]) @ camera[:count] @ np.diag([1.0, 1.0, -1.0, 1.0])
+    )
+    report = check_conventions(robot, as_se3(camera), "eye_in_hand")
+    assert [view for view, _ in report.suspicious_views] == list(range(count))
+    assert len(report.problems) == (count > 1)
+    if report.problems:
+        text = r"but do without views 0, 1, 2, 3 .*their pictures seem to be mirrored"
+        assert re.search(text, report.problems[0])
 
 
 def test_pictures_in_no_order_are_not_called_angles_in_another_unit_alone(poses):

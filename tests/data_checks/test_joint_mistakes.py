@@ -31,6 +31,17 @@ def other_zero(joints):
     return joints
 
 
+def fifth_in_degrees(joints):
+    joints[:, 4] = np.rad2deg(joints[:, 4])
+    return joints
+
+
+def third_from_the_horizontal(joints):
+    """As Fanuc's third joint, whose reading does not change when the second turns."""
+    joints[:, 2] -= joints[:, 1]
+    return joints
+
+
 def sorted_by_name(joints):
     """Elbow, shoulder lift, shoulder pan: the order of ROS."""
     return joints[:, [2, 1, 0, 3, 4, 5]]
@@ -42,6 +53,8 @@ def sorted_by_name(joints):
         (reversed_third, "but do if joint 3 counts the other way round"),
         (other_zero, "but do if the zero of joint 2 is +90 degrees off"),
         (sorted_by_name, "but do if joints 1 and 3 stand in each other's column"),
+        (fifth_in_degrees, "the readings of joint 5 are degrees where the others are radians"),
+        (third_from_the_horizontal, "joint 3 turns by its own reading plus the one of joint 2"),
         (np.rad2deg, "but do if the readings are degrees, not radians"),
         (np.deg2rad, "but do if the readings are radians, not degrees"),
     ],

@@ -54,6 +54,16 @@ def test_views_that_hide_each_other_are_left_out(poses):
     assert set(np.flatnonzero(~kept)) == set(words) == {2, 5, 6}
 
 
+def test_a_view_whose_picture_was_turned_or_mirrored_is_named_as_such(poses):
+    robot, seen = poses
+    changed = host_matrices(seen).copy()
+    changed[3] = np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]) @ changed[3]
+    changed[8] = np.diag([1.0, -1.0, 1.0, 1.0]) @ changed[8] @ np.diag([1.0, 1.0, -1.0, 1.0])
+    _, words, _ = find_consistent_views(robot, as_se3(changed), jnp.ones(VIEWS))
+    assert words[3].endswith("its picture seems to be turned by 90 degrees: turn it back")
+    assert words[8].endswith("top and bottom, swapped): mirror it back")
+
+
 def test_two_views_that_were_exchanged_are_named_with_each_other(poses):
     robot, seen = poses
     order = np.arange(VIEWS)

@@ -10,6 +10,7 @@ import pytest
 from robot_motions import CAMERA_FROM_MOUNT, UNCHANGED, VIEWS, moving_alike, transform
 
 from smartview_jax.data_checks import find_groups
+from smartview_jax.data_checks.picture_turns import PictureTurn
 from smartview_jax.data_checks.view_groups import GroupOptions
 from smartview_jax.geometry import as_se3, host_matrices
 from smartview_jax.staged import fit_staged
@@ -64,8 +65,17 @@ def test_turned_pictures_are_named_as_such(turns):
     turn = transform([0.0, 0.0, 90.0 * turns], [0.0, 0.0, 0.0])
     on_mount = np.linalg.inv(CAMERA_FROM_MOUNT) @ turn @ CAMERA_FROM_MOUNT
     found = find_groups(*mixed(camera=on_mount), EVERY_VIEW)
-    assert [group.quarter_turns for group in found.groups] == [0, turns]
+    assert [group.turn for group in found.groups] == [None, PictureTurn(turns)]
     assert f"turned by {90 * turns} degrees" in found.sentence("eye_in_hand", IDS)
+
+
+def test_mirrored_pictures_are_named_as_such():
+    robot, camera = mixed()
+    seen = host_matrices(camera).copy()
+    seen[SECOND] = np.diag([-1.0, 1.0, 1.0, 1.0]) @ seen[SECOND] @ np.diag([1.0, 1.0, -1.0, 1.0])
+    sentence = find_groups(robot, as_se3(seen), EVERY_VIEW).sentence("eye_in_hand", IDS)
+    assert "views v1, v4, v7, v10, v13, as if the pictures had been mirrored" in sentence
+    assert sentence.endswith("Mirror them back")
 
 
 @pytest.mark.parametrize("noise", [(2e-4, 0.02), (5e-3, 0.5), (2e-2, 2.0)])

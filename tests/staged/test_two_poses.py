@@ -42,6 +42,7 @@ def turn_between(first, second):
 
 
 def chosen(scene, **options):
+    """The poses that leave least, and those that are chosen."""
     poses, _, _ = estimate_view_poses(scene.data.observations, CAMERA)
     robot = scene.data.mount_from_holder
     used = np.ones(scene.data.view_count, dtype=bool)
@@ -74,6 +75,16 @@ def test_a_lens_that_zoomed_is_told_also_where_views_have_two_poses(mount):
     zoomed = dataclasses.replace(scene.data, pixels=jnp.asarray(pixels))
     warnings = fit_staged(zoomed, camera=CAMERA).warnings
     assert "from view 7 on, the focal length seems to be another (+5" in " ".join(warnings)
+
+
+def test_a_camera_that_was_moved_is_not_explained_by_small_pictures():
+    """Most views agree, which would excuse what the others say of robot and camera."""
+    scene = tag_scene("eye_in_hand")
+    poses = host_matrices(scene.data.base_from_tool).copy()
+    poses[9:] = poses[9:] @ host_exponentials(np.array([0.05, 0.0, 0.0, 0.0, 0.2, 0.0]))
+    moved = dataclasses.replace(scene.data, base_from_tool=as_se3(poses))
+    _, choice = chosen(dataclasses.replace(scene, data=moved))
+    assert not choice.explained
 
 
 def test_a_large_board_is_not_asked():

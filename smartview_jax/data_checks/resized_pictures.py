@@ -1,0 +1,190 @@
+"""Test whether pictures of some views were resized or cut, so that they have another camera.
+
+Such a picture has another focal length and another principal point. One camera for all pictures
+then puts the target at wrong places, as if the camera had been moved on its mount, or as if robot
+and camera turned about other axes. With a camera for each part of the views they agree.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Bool, Float
+
+from ..cameras import Camera
+from ..geometry import as_se3, host_matrices
+from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
+from .convention_hypotheses import listed_views
+from .largest_group import disagreements
+from .misfit_evidence import VERY_STRONG_EVIDENCE, errors_of, evidence
+from .transform_fit import (
+    fit_transforms,
+    mean_misfit,
+    median_distance,
+    misfit_text,
+    motions_from_camera_to_target,
+)
+
+CAMERA_NUMBERS = 5
+"""Numbers by which two cameras differ: two focal lengths, the centre, a distortion."""
+
+MAX_DIVISIONS = 5
+"""Largest number of times the views are divided again by the transforms of the last division."""
+
+
+class TwoCameras(NamedTuple):
+    """A camera for each part of the views, and where all views were taken from with either.
+
+    Attributes:
+        cameras: the two cameras.
+        seen: `camera_from_world` with each of them.
+        of_second: mask of the views that only the second camera fits.
+    """
+
+    cameras: tuple[Camera, Camera]
+    seen: Float[np.ndarray, "2 views 4 4"]
+    of_second: Bool[np.ndarray, "views"]
+
+    def of_views(self, used: Bool[np.ndarray, "views"]) -> "TwoCameras":
+        """Return the same with some of the views."""
+        return TwoCameras(self.cameras, self.seen[:, used], self.of_second[used])
+
+    @property
+    def camera_from_world(self) -> Poses:
+        """The pose of each view with its own camera."""
+        return np.where(self.of_second[:, None, None], self.seen[1], self.seen[0])
+
+    def divided_by_robot(self, robot: Poses) -> "TwoCameras":
+        """Return the division in which each view has the camera with which it fits the robot.
+
+        The second camera is that of the smaller part.
+        """
+        parts = self
+        for _ in range(MAX_DIVISIONS):
+            fit = fit_transforms(robot, parts.camera_from_world)
+            first, second = (
+                disagreements(fit.closure_of(robot, seen), median_distance(seen))
+                for seen in parts.seen
+            )
+            if (parts.of_second == (second < first)).all():
+                break
+            parts = parts._replace(of_second=second < first)
+        if 2 * parts.of_second.sum() > len(robot):
+            first, second = parts.cameras
+            return TwoCameras((second, first), parts.seen[::-1], ~parts.of_second)
+        return parts
+
+    @property
+    def is_later_part(self) -> bool:
+        """Whether the second camera took all views from one on."""
+        return bool(self.of_second[-1] and np.sum(self.of_second[1:] != self.of_second[:-1]) == 1)
+
+    @property
+    def size_and_shift(self) -> tuple[float, tuple[float, float]]:
+        """The factor by which the second camera's pictures are larger, and their shift then, px."""
+        sizes = [float(np.sqrt(camera.alpha_u * camera.alpha_v)) for camera in self.cameras]
+        # A picture begins half a pixel before the middle of its first pixel.
+        centre, other = (
+            np.array([float(camera.u0), float(camera.v0)]) + 0.5 for camera in self.cameras
+        )
+        size = sizes[1] / sizes[0]
+        shift = other - size * centre
+        return size, (float(shift[0]), float(shift[1]))
+
+
+class ResizedPictures(NamedTuple):
+    """Views whose pictures seem to be resized or cut.
+
+    Attributes:
+        views: indices of the views.
+        is_later_part: whether they are all views from one on.
+        size: of what their pictures show, over the same in the other pictures.
+        shift: of what they show after that, px.
+        misfit, given_misfit: mean misfit over all views with two cameras and with one, m and rad.
+        score, given_score: rotation plus translation over the distance to the target, in the same
+            two cases.
+    """
+
+    views: tuple[int, ...]
+    is_later_part: bool
+    size: float
+    shift: tuple[float, float]
+    misfit: tuple[float, float]
+    given_misfit: tuple[float, float]
+    score: float
+    given_score: float
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether no calibration can be right for all of the views."""
+        explains_most = self.score < MAX_CORRECTED_SCORE_RATIO * self.given_score
+        return self.given_score > MAX_CLOSURE_SCORE and explains_most
+
+    def sentence(self, view_ids: Sequence[str]) -> str:
+        """Return in words which pictures differ, how, and what to do.
+
+        Args:
+            view_ids: names of the views.
+        """
+        names = [view_ids[view] for view in self.views]
+        where = f"from view {names[0]} on" if self.is_later_part else f"in {listed_views(names)}"
+        return (
+            f"{where}, the pictures contradict the others, as if they had been resized by a factor "
+            f"of {self.size:.3f} and then shifted by ({self.shift[0]:.0f}, {self.shift[1]:.0f}) "
+            "px: with a camera for each of the two parts, robot and camera agree to "
+            f"{misfit_text(self.misfit)} instead of {misfit_text(self.given_misfit)} (means over "
+            "the views). Were pictures binned, resized or cut, or did zoom or focus change? Use "
+            "pictures of one kind, or calibrate the two parts separately"
+        )
+
+
+def find_resized_pictures(
+    mount_from_holder: SE3,
+    camera_from_world: SE3,
+    used: Bool[np.ndarray, "views"],
+    parts: TwoCameras,
+) -> ResizedPictures | None:
+    """Return the pictures that need a camera of their own, if robot and camera agree far better so.
+
+    Args:
+        mount_from_holder: the robot's part of the chain, `(views)`.
+        camera_from_world: with one camera for all views.
+        used: mask of the views to use.
+        parts: two cameras that fit the views.
+    """
+    views = np.flatnonzero(used)
+    robot, one_camera = (host_matrices(p)[views] for p in (mount_from_holder, camera_from_world))
+    parts = parts.of_views(used)
+    if not np.isfinite([robot, one_camera, *parts.seen]).all():
+        return None
+    parts = parts.divided_by_robot(robot)
+    if not parts.of_second.any():
+        return None
+    (given, given_distance), (corrected, distance) = (
+        _closure(robot, seen) for seen in (one_camera, parts.camera_from_world)
+    )
+    odds = evidence(errors_of(given), errors_of(corrected), CAMERA_NUMBERS)
+    # The part may begin at any view, or each view may be of either part.
+    odds -= 2.0 * (np.log(len(views)) if parts.is_later_part else len(views) * np.log(2.0))
+    if odds < 2.0 * np.log(VERY_STRONG_EVIDENCE):
+        return None
+    misfit, score = mean_misfit(corrected, distance)
+    given_misfit, given_score = mean_misfit(given, given_distance)
+    return ResizedPictures(
+        tuple(views[parts.of_second].tolist()),
+        parts.is_later_part,
+        *parts.size_and_shift,
+        misfit,
+        given_misfit,
+        score,
+        given_score,
+    )
+
+
+def _closure(robot: Poses, camera: Poses) -> tuple[Poses, float]:
+    """Return the closure error of finite poses, between camera and target, and their distance."""
+    every_view = np.arange(len(robot))
+    motions = motions_from_camera_to_target(as_se3(robot), as_se3(camera), every_view, 1.0)
+    assert motions is not None
+    return fit_transforms(*motions).closure, median_distance(motions[1])
