@@ -201,7 +201,7 @@ def _of_cameras(rig: "sv.Rig", known: dict[str, _Known] | None) -> dict[str, _Kn
 def _of_own_cameras(
     rig: "sv.Rig", priors: "Mapping[str, sv.Prior]"
 ) -> "dict[str, sv.Prior] | None":
-    """Return the priors on parameters of cameras that a rig has."""
+    """Return the priors on parameters of the cameras that a rig has; None without any."""
     return {
         path: prior for path, prior in priors.items() if path.split(".")[0] in rig.cameras
     } or None

@@ -377,6 +377,8 @@ def _agreement(
     if not problems and not fit.conventions.change:
         # A wrong pose moves by some other length than the camera did.
         report = _report_without_doubted_views(data, fit) if reasons else fit.conventions
+        # The fit has asked for other causes of inaccurate poses, and warns where it found none.
+        report = report._replace(inaccuracy=fit.conventions.inaccuracy)
         doubts += _doubts_of_motion(report, camera is not None, data.joints is not None)
     doubts += [text for text in fit.warnings if text not in problems]
     return problems, doubts, fit
@@ -412,7 +414,6 @@ def _doubts_of_motion(
             + (f"; {sv.data_checks.OTHER_ARM_TEXT}" if by_joints else "")
         ]
     rotation, translation = report.closure_error
-    # Of inaccurate poses the fit warns.
     if report.is_close or report.inaccuracy:
         return []
     return [

@@ -315,6 +315,8 @@ def parse_rig_aspects(
     """
     whole = sv.engine.PIXEL_ASPECT
     fitted = [name for name in cameras if name not in known]
+    if texts and not fitted:
+        raise ValueError(f"--prior {texts[0]}: every camera is held by --camera")
     units = {sv.engine.focal_length_of(path): "" for path in (whole, *_aspects_of(fitted))}
     priors: dict[str, sv.Prior] = {}
     for text in _prior_texts(texts):

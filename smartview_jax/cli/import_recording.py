@@ -119,7 +119,7 @@ class LeRobotOptions:
     angle_unit: Annotated[
         str | None,
         typer.Option(
-            help="LeRobot: unit of the joint readings: deg or rad, such as deg. Readings in "
+            help="LeRobot: unit of the joint readings (such as deg): deg or rad. Readings in "
             "percent of a joint's range, which some arms record, cannot be used."
         ),
     ] = None

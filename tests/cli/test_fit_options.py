@@ -147,6 +147,8 @@ def test_square_pixels_of_all_cameras_of_a_rig_or_of_one():
     ):
         with pytest.raises(ValueError, match=words):
             parse_rig_aspects([text], ["left", "right", "top"], ["top"])
+    with pytest.raises(ValueError, match="every camera is held by --camera"):
+        parse_rig_aspects(texts[:1], ["left", "right"], ["left", "right"])
 
 
 @pytest.mark.parametrize(
