@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from ..geometry import mean_matrix
 from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
@@ -182,8 +182,7 @@ def find_change(
     robot, camera = motions
     places = np.arange(fewest, len(views) - fewest + 1)
     search = _Search.of(robot, camera, len(places))
-    misfit, score = mean_misfit(search.fit.closure, search.distance)
-    if score < options.min_score:
+    if search.score < options.min_score:
         return None
     tried: dict[int, list[Change]] = {}
     near, step = places, 0
@@ -210,11 +209,11 @@ def find_change(
         for change in named
         if change.score <= options.max_rival_ratio * named[0].score
     )
-    return ChangeReport(changes, misfit, score)
+    return ChangeReport(changes, search.misfit, search.score)
 
 
 def evidence_of_change(mount_from_holder: SE3, camera_from_world: SE3, first_view: int) -> float:
-    """Return the evidence, as in `Change`, that the camera was moved or zoomed before a view.
+    """Return the evidence, as in `Change`, for a change of camera or pictures before a view.
 
     Args:
         mount_from_holder: as in `find_change`; all views are used.
@@ -241,6 +240,9 @@ class _Search(NamedTuple):
         robot: `mount_from_holder` of the views.
         camera: `camera_from_world` of the views.
         fit: the transforms that fit all views, without any change.
+        errors: what they leave over, m and rad, by the frame in which errors are compared: the
+            mount's (`"camera"`) or the holder's (`"target"`).
+        misfit, score: its mean over the views, as in `ChangeReport`.
         distance: median distance of the target, m.
         place_count: number of places where a change may be.
     """
@@ -248,6 +250,9 @@ class _Search(NamedTuple):
     robot: Poses
     camera: Poses
     fit: TransformFit
+    errors: dict[str, Float[np.ndarray, "views 2 3"]]
+    misfit: tuple[float, float]
+    score: float
     distance: float
     place_count: int
 
@@ -256,7 +261,10 @@ class _Search(NamedTuple):
         """Return the search in some views."""
         fit = fit_transforms(robot, camera)
         distance = median_distance(camera)
-        return cls(robot, camera, fit, distance, place_count)
+        of_target = np.linalg.inv(robot) @ fit.closure @ robot
+        errors = {"camera": errors_of(fit.closure), "target": errors_of(of_target)}
+        misfit, score = mean_misfit(fit.closure, distance)
+        return cls(robot, camera, fit, errors, misfit, score, distance, place_count)
 
     def changes(self, place: int) -> Iterator[Change]:
         """Yield the changes of each kind before the view `place`."""
@@ -265,20 +273,7 @@ class _Search(NamedTuple):
         reference = after if 2 * after.sum() >= len(after) else ~after
         fit = fit_transforms(self.robot, self.camera, reference)
         yield from self._moves(place, fit, reference, fit.closure)
-        mirrored = self.camera.copy()
-        mirrored[~reference] = mirrored_poses(self.camera[~reference])
-        of_mirrored = fit.closure_of(self.robot, mirrored)
-        for move in self._moves(place, fit, reference, of_mirrored):
-            # What the mirror leaves over is small, but what it explains is not.
-            translation, rotation = mean_misfit(fit.closure[~reference], self.distance)[0]
-            size = rotation + translation / self.distance
-            yield move._replace(
-                kind="mirror",
-                translation=translation,
-                rotation=rotation,
-                turn=MIRRORED,
-                size=size,
-            )
+        yield from self._mirrors(place, fit, reference)
         before_factor, after_factor = self._depth_factors(after)
         # No lens zooms so far between two pictures of one target; poses that fit nothing seem to.
         if not (before_factor > 0.0 and 1.0 / MAX_ZOOM < after_factor / before_factor < MAX_ZOOM):
@@ -288,7 +283,7 @@ class _Search(NamedTuple):
         corrected = fit_transforms(self.robot, camera).closure
         zoom = after_factor / before_factor
         moved = abs(zoom - 1.0) * self.distance, 0.0
-        yield self._change("zoom", place, moved, self.fit.closure, corrected)._replace(zoom=zoom)
+        yield self._change("zoom", place, moved, corrected)._replace(zoom=zoom)
 
     def _moves(
         self, place: int, fit: TransformFit, reference: Bool[np.ndarray, "views"], closure: Poses
@@ -302,20 +297,42 @@ class _Search(NamedTuple):
             closure: of all views with that fit.
         """
         for kind in ("camera", "target"):
-            given, corrected = self.fit.closure, closure.copy()
+            corrected = closure.copy()
             # Errors are compared in one frame: a target's tilt varies about one axis of its own.
             if kind == "target":
-                to_holder = np.linalg.inv(self.robot)
-                given, corrected = (to_holder @ part @ self.robot for part in (given, corrected))
+                corrected = np.linalg.inv(self.robot) @ corrected @ self.robot
             other = corrected[~reference]
             change = mean_matrix(other, np.ones(len(other)))
             corrected[~reference] = np.linalg.inv(change) @ other
             translation, rotation = misfits(change).tolist()
-            named = self._change(kind, place, (translation, rotation), given, corrected)
+            named = self._change(kind, place, (translation, rotation), corrected)
             if kind == "camera":
                 turn = turn_of_change(fit.camera_from_mount, change, self.distance)
                 named = named._replace(turn=turn)
             yield named
+
+    def _mirrors(
+        self, place: int, fit: TransformFit, reference: Bool[np.ndarray, "views"]
+    ) -> Iterator[Change]:
+        """Yield the changes with which the other side agrees if its pictures were mirrored.
+
+        The arguments are as of `_moves`.
+        """
+        # Mirrored pictures of a target that is tilted by some degrees contradict the others by far.
+        if self.score < MAX_CLOSURE_SCORE:
+            return
+        mirrored = self.camera.copy()
+        mirrored[~reference] = mirrored_poses(self.camera[~reference])
+        # What is left over after mirroring is small, but what mirroring explains is not.
+        (translation, rotation), size = mean_misfit(fit.closure[~reference], self.distance)
+        for move in self._moves(place, fit, reference, fit.closure_of(self.robot, mirrored)):
+            yield move._replace(
+                kind="mirror",
+                translation=translation,
+                rotation=rotation,
+                turn=MIRRORED,
+                size=size,
+            )
 
     def _depth_factors(self, after: Bool[np.ndarray, "views"]) -> tuple[float, float]:
         """Return true depth over measured depth, before and after a zoom.
@@ -342,7 +359,6 @@ class _Search(NamedTuple):
         kind: str,
         place: int,
         moved: tuple[float, float],
-        given: Poses,
         corrected: Poses,
     ) -> Change:
         """Return a change with the misfit and the evidence of the corrected closure."""
@@ -350,6 +366,7 @@ class _Search(NamedTuple):
         size = moved[1] + moved[0] / self.distance
         parameters = 2 if kind == "zoom" else 6
         # A change may be at any place.
-        odds = evidence(errors_of(given), errors_of(corrected), parameters)
+        given = self.errors["target" if kind == "target" else "camera"]
+        odds = evidence(given, errors_of(corrected), parameters)
         odds -= 2.0 * np.log(self.place_count)
         return Change(kind, place, *moved, 1.0, None, misfit, score, size, odds)

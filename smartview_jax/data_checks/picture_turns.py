@@ -87,17 +87,19 @@ def turn_of_picture(
     return None if _quarter_turns(as_mirrored, distance) is None else MIRRORED
 
 
+_QUARTER_BACK = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+
+_TURNS_BACK = np.stack([np.linalg.matrix_power(_QUARTER_BACK, turns) for turns in range(4)])
+"""Turns about the optical axis by 0 to 3 right angles, backwards."""
+
+
 def _quarter_turns(of_camera: Matrix, distance: float) -> int | None:
     """Return the right angles, 0 to 3, by which a motion turns the camera; None for another one."""
-    for turns, (cosine, sine) in enumerate(((1, 0), (0, 1), (-1, 0), (0, -1))):
-        back = np.eye(4)
-        back[:2, :2] = [[cosine, sine], [-sine, cosine]]
-        remaining = back @ of_camera
-        angle = float(np.linalg.norm(host_rotation_vectors(remaining)))
-        shift = float(np.linalg.norm(remaining[:3, 3]))
-        if angle < MAX_TURN_ERROR and shift < MAX_TURN_SHIFT * distance:
-            return turns
-    return None
+    remaining = _TURNS_BACK @ of_camera
+    angles = np.linalg.norm(host_rotation_vectors(remaining), axis=1)
+    shift = float(np.linalg.norm(of_camera[:3, 3]))
+    turns = int(np.argmin(angles))
+    return turns if angles[turns] < MAX_TURN_ERROR and shift < MAX_TURN_SHIFT * distance else None
 
 
 def mirrored_poses(camera_from_world: Poses) -> Poses:
