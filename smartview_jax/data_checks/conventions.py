@@ -136,6 +136,7 @@ def check_conventions(
     turns: Float[np.ndarray, "turns 4 4"] | None = None,
     view_ids: Sequence[str] | None = None,
     tracked: bool = False,
+    may_be_inaccurate: bool = True,
 ) -> ConventionReport:
     """Compare the motion of the robot with the motion of the camera over all pairs of views.
 
@@ -147,6 +148,8 @@ def check_conventions(
         turns: turns of the target that take its points into each other (`target_turns`).
         view_ids: names of the views in the sentences; by default numbers.
         tracked: whether a tracker gave the camera's poses, without pictures.
+        may_be_inaccurate: whether large errors like noise may be noise. The errors of a camera that
+            does not fit its pictures are none.
     """
     robot, camera = host_matrices(base_from_tool), host_matrices(camera_from_world)
     used = np.ones(len(robot), dtype=bool) if weights is None else np.asarray(weights) > 0.0
@@ -168,7 +171,7 @@ def check_conventions(
         chain_of_rest = _ComparedChain.of(chain.given, rest, in_hand, tracked, ids)
         chain = chain_of_rest if chain_of_rest.is_accepted else chain
     hypotheses = _likely_mistakes(chain, turns)
-    problems, inaccuracy = _problems(chain, hypotheses, mismatch, suspected)
+    problems, inaccuracy = _problems(chain, hypotheses, mismatch, suspected, may_be_inaccurate)
     ambiguities = () if problems else _ambiguities(chain)
     if tracked:
         problems, ambiguities = (
@@ -274,6 +277,7 @@ def _problems(
     hypotheses: tuple[ConventionHypothesis, ...],
     mismatch: float,
     suspicious: Sequence[int],
+    may_be_inaccurate: bool,
 ) -> tuple[tuple[str, ...], str]:
     """Return what makes the data unusable as given, or how inaccurate they are, in sentences.
 
@@ -282,12 +286,13 @@ def _problems(
         hypotheses: likely mistakes.
         mismatch: median difference of the rotation angles, rad.
         suspicious: views whose rotation angles differ.
+        may_be_inaccurate: as in `check_conventions`.
     """
     problems, inaccuracy = _problems_of_mistakes(chain, hypotheses, mismatch), ""
     if problems and not is_explained(chain.error, hypotheses):
         if of_views := _problem_of_views(chain, suspicious):
             problems = of_views
-        elif _are_inaccurate(chain, hypotheses):
+        elif may_be_inaccurate and _are_inaccurate(chain, hypotheses):
             problems, inaccuracy = (), inaccuracy_text(chain.error)
     # A wrong convention distorts the length ratio too, so units are checked only without one.
     robot, camera = chain.given.robot, chain.given.camera

@@ -39,7 +39,7 @@ class TwoCameras(NamedTuple):
     Attributes:
         cameras: the two cameras.
         seen: `camera_from_world` with each of them.
-        of_second: mask of the views that only the second camera fits.
+        of_second: mask of the views that the second camera took.
     """
 
     cameras: tuple[Camera, Camera]
@@ -58,7 +58,7 @@ class TwoCameras(NamedTuple):
     def divided_by_robot(self, robot: Poses) -> "TwoCameras":
         """Return the division in which each view has the camera with which it fits the robot.
 
-        The second camera is that of the smaller part.
+        The second camera took the smaller part.
         """
         parts = self
         for _ in range(MAX_DIVISIONS):
@@ -99,8 +99,8 @@ class ResizedPictures(NamedTuple):
     Attributes:
         views: indices of the views.
         is_later_part: whether they are all views from one on.
-        size: of what their pictures show, over the same in the other pictures.
-        shift: of what they show after that, px.
+        size: factor by which their pictures are larger than the others.
+        shift: by how much they are shifted when they have that size, px.
         misfit, given_misfit: mean misfit over all views with two cameras and with one, m and rad.
         score, given_score: rotation plus translation over the distance to the target, in the same
             two cases.

@@ -127,6 +127,7 @@ def check_motion(data: Dataset, views: PairedViews) -> MotionChecks:
     """Return whether robot and camera move alike, and what is wrong with the pictures."""
     pictures, common, used = views.pictures, views.pictures.common, views.pictures.used
     turns = target_turns(np.asarray(data.points), np.asarray(pictures.observations.visible))
+    misfit, resized = pictures.misfit(used), None
     report = check_conventions(
         data.base_from_tool,
         common.camera_from_world,
@@ -134,17 +135,14 @@ def check_motion(data: Dataset, views: PairedViews) -> MotionChecks:
         used.astype(float),
         turns,
         data.view_ids,
+        may_be_inaccurate=misfit is None,
     )
     # The poses of a small target scatter by more than the check allows for.
     is_small_target = views.choice is not None and views.choice.explained
     if is_small_target:
-        report = report._replace(problems=(), hypotheses=(), inaccuracy="")
+        report = report._replace(problems=(), hypotheses=(), explained=False, inaccuracy="")
     if not (is_small_target or report.explained):
         report = _with_mistake_in_joints(report, data, common.camera_from_world, used)
-    misfit, resized = pictures.misfit(used), None
-    if misfit is not None and report.inaccuracy:
-        # Its poses are not noise about the true ones.
-        report = report._replace(problems=(report.inaccuracy,), inaccuracy="")
     if not report.explained:
         report, resized = _with_fault_of_many_views(report, data, pictures, misfit)
     if resized is not None and misfit is not None:
@@ -226,7 +224,7 @@ def _with_fault_of_many_views(
         )
         poses = poses._replace(distances=distances)
     fault, resized = find_shared_fault(poses, pictures.used), None
-    if fault is not None or report.problems or misfit is not None:
+    if fault is not None or report.is_contradicted or misfit is not None:
         first_view = 0 if fault is None else fault.first_view
         resized = resized_pictures(pictures, data.mount_from_holder, first_view, misfit)
     if resized is not None and fault is not None and fault.score <= resized.score:

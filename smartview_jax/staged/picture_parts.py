@@ -40,7 +40,7 @@ def resized_pictures(
         pictures: Steps 1 and 2 with one camera for all views.
         mount_from_holder: the robot's part of the chain, `(views)`.
         first_view: index of the first view after a change that robot and camera tell; 0 for none.
-        misfit: of one camera for all views; None if it fits.
+        misfit: how badly one camera fits all views; None if it fits.
     """
     if pictures.step1.calibrations is None:
         return None

@@ -69,6 +69,14 @@ def test_inaccurate_poses_are_a_doubt():
     assert not report.is_certain
 
 
+def test_errors_of_a_camera_that_does_not_fit_are_no_noise():
+    robot, camera = inaccurate(10.0)
+    poses = map(host_transforms, (np.linalg.inv(robot), camera))
+    report = check_conventions(*poses, "eye_in_hand", may_be_inaccurate=False)
+    assert report.inaccuracy == ""
+    assert report.problems[0].startswith("robot and camera do not move alike as given")
+
+
 def test_wrong_poses_are_no_less_wrong_with_noise():
     """Inverted poses in ten degrees of noise agree better as given than in any other order."""
     robot, camera = inaccurate(10.0, seed=2)
