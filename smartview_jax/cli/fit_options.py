@@ -319,8 +319,9 @@ def parse_rig_aspects(
         raise ValueError(f"--prior {texts[0]}: every camera is held by --camera")
     units = {sv.engine.focal_length_of(path): "" for path in (whole, *_aspects_of(fitted))}
     priors: dict[str, sv.Prior] = {}
-    for text in _prior_texts(texts):
-        path, prior = _parse_prior(text, units)
+    parsed = [_parse_prior(text, units) for text in _prior_texts(texts)]
+    # What is said of one camera holds against what is said of all, in whatever order.
+    for path, prior in sorted(parsed, key=lambda entry: entry[0] != whole):
         if not sv.engine.is_aspect(path):
             raise ValueError(f"--prior {path}: of several cameras only {whole} has a prior")
         priors |= dict.fromkeys(_aspects_of(fitted) if path == whole else [path], prior)

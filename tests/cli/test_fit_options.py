@@ -135,7 +135,7 @@ def test_square_pixels_are_a_number_without_a_unit():
 
 
 def test_square_pixels_of_all_cameras_of_a_rig_or_of_one():
-    texts = ["camera.pixel_aspect=1+-0.001", "left.camera.pixel_aspect=+-0.0001"]
+    texts = ["left.camera.pixel_aspect=+-0.0001", "camera.pixel_aspect=1+-0.001"]
     assert parse_rig_aspects(texts, ["left", "right", "top"], ["top"]) == {
         "left.camera.pixel_aspect": Prior(std=1e-4),
         "right.camera.pixel_aspect": Prior(mean=1.0, std=1e-3),
@@ -148,7 +148,7 @@ def test_square_pixels_of_all_cameras_of_a_rig_or_of_one():
         with pytest.raises(ValueError, match=words):
             parse_rig_aspects([text], ["left", "right", "top"], ["top"])
     with pytest.raises(ValueError, match="every camera is held by --camera"):
-        parse_rig_aspects(texts[:1], ["left", "right"], ["left", "right"])
+        parse_rig_aspects(texts[1:], ["left", "right"], ["left", "right"])
 
 
 @pytest.mark.parametrize(
