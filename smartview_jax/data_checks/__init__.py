@@ -9,7 +9,8 @@ at all (`inverted_poses.py`), whether the arm is another (`other_arm.py`), wheth
 changed between two views (`changes.py`) or drifts (`set_up_drift.py`, beyond the errors of
 `smooth_errors.py`), the poses lag (`pose_lag.py`, by the fit in `lag_fit.py`), the views agree in
 groups (`view_groups.py`) or the focus changes (`focus_changes.py`; `faults_of_many_views.py` asks
-all five; positions alone are linear, `position_equations.py`), whether the target bends
+all five; positions alone are linear, `position_equations.py`), whether pictures of some views were
+resized (`resized_pictures.py`), turned or mirrored (`picture_turns.py`), whether the target bends
 (`flexible_target.py`), and which single views are numbered wrongly (`shifted_numbering.py`) or
 contradict the others (`view_consistency.py`). All judge by transforms of their own
 (`transform_fit.py`), some by transforms of the views that agree (`largest_group.py`) or by the odds

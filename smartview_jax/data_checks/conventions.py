@@ -148,8 +148,8 @@ def check_conventions(
         turns: turns of the target that take its points into each other (`target_turns`).
         view_ids: names of the views in the sentences; by default numbers.
         tracked: whether a tracker gave the camera's poses, without pictures.
-        may_be_inaccurate: whether large errors like noise may be noise. The errors of a camera that
-            does not fit its pictures are none.
+        may_be_inaccurate: whether errors like noise are taken as noise, however large; not for a
+            camera that does not fit its pictures.
     """
     robot, camera = host_matrices(base_from_tool), host_matrices(camera_from_world)
     used = np.ones(len(robot), dtype=bool) if weights is None else np.asarray(weights) > 0.0

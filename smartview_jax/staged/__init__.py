@@ -5,7 +5,8 @@
     Step 3  hand-eye and world transforms, `A X = X B`        the room hand_eye (Eq. 17)
 
 `fit.py` runs the three: Steps 1 and 2 in `common_camera.py`, by the parts in `picture_steps.py`,
-and the checks of the room data_checks before Step 3 in `motion_checks.py`. `two_poses.py` lets the
+and the checks of the room data_checks before Step 3 in `motion_checks.py`; `picture_parts.py` fits
+two cameras where pictures of some views may have been resized. `two_poses.py` lets the
 robot choose between the two poses of a small flat target; `start_checks.py` checks a given start;
 `few_views.py` places a camera by a target whose place is known; `two_hands.py` places the bases of
 two arms, one with the camera and one with the target; `interpolation.py` is the comparison method
