@@ -169,8 +169,8 @@ def inaccuracy_text(given_error: ClosureError) -> str:
     return (
         f"robot and camera agree only to {closure_error_text(given_error, short=True)} between two "
         "views (median). No known mistake explains it, and in any other order they agree less: the "
-        "poses are taken as inaccurate, not as wrong. Is the target too small or too far away, or "
-        "the robot not calibrated?"
+        "poses are taken as inaccurate, not as wrong. Is the target too small or too far away, is "
+        "the robot not calibrated, or were robot or target moved between the views?"
     )
 
 

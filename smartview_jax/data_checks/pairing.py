@@ -6,8 +6,14 @@ order, and noise is in all views alike, whereas of wrong pairs the others agree 
 """
 
 import numpy as np
+from scipy.special import fdtrc
 
-from ..geometry import host_pairwise_rotation_angles
+from ..geometry import (
+    host_logarithms,
+    host_pairwise_rotation_angles,
+    host_rotation_vectors,
+    mean_matrix,
+)
 from .closure import Poses, closure_errors, relative_motions, spread_views
 from .largest_group import disagreements, largest_group
 from .transform_fit import fit_transforms, median_distance
@@ -18,6 +24,9 @@ SHUFFLES = 199
 MIN_EXACT, MIN_EXACT_SHARE = 5, 1.0 / 3.0
 """Smallest number of views, and their smallest share, that agree as with a good arm although others
 do not, and that are no chance."""
+
+MAX_CHANCE = 1e-3
+"""Probability by chance below which errors follow the pose."""
 
 ORDERS_AT_ONCE = 20
 """Number of orders whose motions are computed at once: a few megabytes."""
@@ -40,6 +49,7 @@ def are_paired(mount_from_holder: Poses, camera_from_world: Poses) -> bool:
     return (
         _differ_like_noise(robot, camera)
         and _fit_their_own_pose(robot, camera)
+        and not _follow_the_pose(robot, camera)
         and not _some_agree_exactly(robot, camera)
         and _agree_better_than_in_any_order(robot, camera)
     )
@@ -69,6 +79,24 @@ def _fit_their_own_pose(robot: Poses, camera: Poses) -> bool:
     closures = camera[:, None] @ np.linalg.inv(expected)
     misfit = disagreements(closures, median_distance(camera))
     return bool((np.diagonal(misfit) <= np.median(misfit, axis=1)).all())
+
+
+def _follow_the_pose(robot: Poses, camera: Poses) -> bool:
+    """Return whether the views' rotation errors are linear in the robot's rotation, by an F test.
+
+    Noise does not depend on the pose. Where one component of each rotation has a wrong scale, the
+    errors are noise in all other respects.
+    """
+    errors = host_logarithms(fit_transforms(robot, camera).closure)[:, 3:]
+    middle = mean_matrix(robot, np.ones(len(robot)))
+    columns = np.ones((len(robot), 4))
+    columns[:, 1:] = host_rotation_vectors(robot @ np.linalg.inv(middle))
+    if (freedom := 3 * (len(robot) - 4)) <= 0:
+        return False
+    left_over = errors - columns @ np.linalg.lstsq(columns, errors, rcond=None)[0]
+    squares = max(float(np.sum(left_over**2)), 1e-300)
+    explained = float(np.sum((errors - errors.mean(axis=0)) ** 2)) - squares
+    return bool(fdtrc(9, freedom, max(explained, 0.0) / 9.0 * freedom / squares) < MAX_CHANCE)
 
 
 def _some_agree_exactly(robot: Poses, camera: Poses) -> bool:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from robot_motions import moving_alike
+from scipy.spatial.transform import Rotation
 
 from smartview_jax.data_checks import check_conventions
 from smartview_jax.data_checks.pairing import are_paired
@@ -57,6 +58,14 @@ def test_errors_in_proportion_to_the_motion_are_no_noise():
     """Every rotation is twice as large as it was; in any other order they agree less."""
     robot, camera = moving_alike(views=VIEWS)
     robot[:, :3, :3] = robot[:, :3, :3] @ robot[:, :3, :3]
+    assert not are_paired(robot, camera)
+
+
+@pytest.mark.parametrize("views", [8, 12, 20])
+def test_rotations_with_a_wrong_scale_about_one_axis_are_no_noise(views):
+    robot, camera = moving_alike(1, noise=(5e-4, 0.05), views=views)
+    turns = Rotation.from_matrix(robot[:, :3, :3]).as_rotvec() * [1.0, 1.0, 0.3]
+    robot[:, :3, :3] = Rotation.from_rotvec(turns).as_matrix()
     assert not are_paired(robot, camera)
 
 
