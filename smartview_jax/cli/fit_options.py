@@ -313,10 +313,10 @@ def parse_rig_aspects(
         ValueError: another parameter, a camera that is unknown or held, or what no text of a prior
             can mean.
     """
+    if texts and set(cameras) <= set(known):
+        raise ValueError(f"--prior {texts[0]}: every camera is held by --camera")
     whole = sv.engine.PIXEL_ASPECT
     fitted = [name for name in cameras if name not in known]
-    if texts and not fitted:
-        raise ValueError(f"--prior {texts[0]}: every camera is held by --camera")
     units = {sv.engine.focal_length_of(path): "" for path in (whole, *_aspects_of(fitted))}
     priors: dict[str, sv.Prior] = {}
     parsed = [_parse_prior(text, units) for text in _prior_texts(texts)]
