@@ -353,8 +353,9 @@ def _are_inaccurate(chain: _ComparedChain, hypotheses: tuple[ConventionHypothesi
     """
     if not hypotheses or only_positions_differ(chain.error):
         return False
-    # Errors like noise have six numbers a view. The mistakes together are as probable beforehand as
-    # none: of many, one leaves a little less by chance.
+    # Noise has six numbers a view, and a median tells its size about as well as half of them. The
+    # mistakes together are as probable beforehand as none: of many, one leaves a little less by
+    # chance.
     views = min(int(chain.used.sum()), MAX_VIEWS)
     best = hypotheses[0].closure_error.score
     if 3.0 * views * math.log(chain.error.score / best) > math.log(len(hypotheses)):

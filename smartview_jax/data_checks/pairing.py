@@ -2,7 +2,8 @@
 
 The size of an error does not tell this: a small marker far away leaves 15 degrees between two
 views, and a wrong convention may leave less. But poses that belong together agree less in any other
-order, and noise is in all views alike, whereas of wrong pairs the others agree as well as ever.
+order, and noise is in all views alike, whatever the pose, whereas of wrong pairs the others agree
+as well as ever.
 """
 
 import numpy as np
