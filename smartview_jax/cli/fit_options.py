@@ -315,7 +315,7 @@ def parse_rig_aspects(
     """
     whole = sv.engine.PIXEL_ASPECT
     fitted = [name for name in cameras if name not in known]
-    units = {sv.engine.focal_length_of(path): "" for path in (whole, *_aspects_of(fitted))}
+    units = {sv.engine.alpha_v_of(path): "" for path in (whole, *_aspects_of(fitted))}
     priors: dict[str, sv.Prior] = {}
     for text in _prior_texts(texts):
         path, prior = _parse_prior(text, units)

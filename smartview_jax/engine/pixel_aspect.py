@@ -30,13 +30,13 @@ def is_aspect(path: str) -> bool:
     return f".{path}".endswith(f".{PIXEL_ASPECT}")
 
 
-def focal_length_of(path: str) -> str:
+def alpha_v_of(path: str) -> str:
     """Return the name of the alpha_v in whose place a ratio is fitted; other paths as they are."""
     return path.removesuffix(PIXEL_ASPECT) + _ALPHA_V if is_aspect(path) else path
 
 
-def is_focal_length(name: str) -> bool:
-    """Return whether a parameter is an alpha_v, in whose place a ratio can be fitted."""
+def is_alpha_v(name: str) -> bool:
+    """Return whether a parameter is a camera's alpha_v."""
     return f".{name}".endswith(f".{_ALPHA_V}")
 
 
@@ -117,6 +117,11 @@ class FittedAspects(NamedTuple):
         fits = xp.asarray(self.fits_aspect)[:, None]
         change = xp.where(fits, aspect * at_u + (alpha_u - 1.0) * at_v, 0.0)
         return xp.eye(len(values)) + at_v.T @ change
+
+    def fitted_names(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return names of all shared parameters, each ratio that is fitted in place of alpha_v."""
+        ratios = np.asarray(self.places)[np.asarray(self.fits_aspect), _V].tolist()
+        return tuple(aspect_of(name) if k in ratios else name for k, name in enumerate(names))
 
 
 def joined_aspects(parts: Sequence[FittedAspects]) -> FittedAspects | None:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..argument_checks import require_instance, require_names
 from .parameters import Step, host_step, parameter_mask
-from .pixel_aspect import alpha_u_of, focal_length_of, is_aspect
+from .pixel_aspect import alpha_u_of, alpha_v_of, is_aspect
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -129,7 +129,7 @@ class ParameterChoice(NamedTuple):
         fitted, state = set(), dict(zip(names, is_free.tolist(), strict=True))
         for path in filter(is_aspect, self.priors):
             parameter_mask(names, (path,))
-            alpha_v, mean = focal_length_of(path), self.priors[path].mean
+            alpha_v, mean = alpha_v_of(path), self.priors[path].mean
             others = [other for other in self.priors if other != path]
             if mean is not None and not mean > 0.0:
                 raise ValueError(f"prior on {path!r}: a ratio is positive; found a mean of {mean}")
@@ -147,7 +147,7 @@ class ParameterChoice(NamedTuple):
         priors = {
             path: prior
             for path, prior in self.priors.items()
-            if not is_aspect(path) or focal_length_of(path) in fitted
+            if not is_aspect(path) or alpha_v_of(path) in fitted
         }
         return self._replace(priors=priors), frozenset(fitted)
 

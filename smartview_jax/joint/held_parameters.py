@@ -19,7 +19,6 @@ from ..engine import (
     FittedChain,
     JointProblem,
     Step,
-    is_focal_length,
     parameter_names,
     squared_residuals,
     with_lens,
@@ -73,19 +72,14 @@ def held_value_test(fit: JointFit) -> HeldValueTest:
     for texts, refit in tests:
         if texts and refit is not None:
             added = added + refit.effect_of_held(fitted)
+    warnings = [text for texts, _ in tests for text in texts]
     by_fitted = problem.host_named_by_fitted(fit.solution.z)
-    if by_fitted is not None:
-        added = by_fitted @ added @ by_fitted.T
-    warnings = tuple(text for texts, _ in tests for text in texts)
-    return HeldValueTest(warnings, fit.parameter_names, added)
+    return HeldValueTest.of_fitted(warnings, fitted, added, by_fitted)
 
 
 def _fitted_names(problem: JointProblem) -> tuple[str, ...]:
     """Return the names of the parameters, with the ratio of focal lengths where it is fitted."""
-    names = parameter_names(problem.parameters.start)
-    if problem.parameters.fits_aspect is None:
-        return names
-    return tuple(PIXEL_ASPECT if is_focal_length(name) else name for name in names)
+    return problem.fitted_names(parameter_names(problem.parameters.start))
 
 
 def _displayed_estimates(refit: Refit) -> dict[str, tuple[float, str]]:
@@ -166,9 +160,9 @@ def held_camera_test(arm: SolvedArm) -> HeldValueTest:
     Args:
         arm: the fit of the cameras of one arm.
     """
-    problem, z, fitted = arm.built.problem, arm.solution.z, arm.built.shared_names
-    nothing = HeldValueTest((), fitted, np.zeros((len(fitted),) * 2))
-    names = arm.built.parameter_names
+    problem, z = arm.built.problem, arm.solution.z
+    nothing = HeldValueTest.nothing(arm.built.shared_names)
+    names = problem.fitted_names(arm.built.parameter_names)
     free = np.asarray(problem.free)
     # One or two views do not tell a lens.
     told = tuple(
@@ -195,12 +189,10 @@ def held_camera_test(arm: SolvedArm) -> HeldValueTest:
     }
     text = _contradiction_text(contradicted, refit, estimated, stated)
     refit = refit.believing(_others(held_names, contradicted), problem, names, z)
-    added, by_fitted = refit.effect_of_held(fitted), problem.host_named_by_fitted(z)
-    return HeldValueTest(
-        (f"{text}: correct them, or leave out these cameras (camera=, --camera)",),
-        fitted,
-        added if by_fitted is None else by_fitted @ added @ by_fitted.T,
-    )
+    fitted = [names[k] for k in free]
+    warning = f"{text}: correct them, or leave out these cameras (camera=, --camera)"
+    by_fitted = problem.host_named_by_fitted(z)
+    return HeldValueTest.of_fitted([warning], fitted, refit.effect_of_held(fitted), by_fitted)
 
 
 def _with_stated_shape(problem: JointProblem, fit: JointFit) -> JointProblem:
