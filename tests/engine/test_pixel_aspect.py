@@ -3,6 +3,7 @@
 import dataclasses
 
 import cv2
+import jax
 import numpy as np
 import pytest
 from fit_scenes import POINTS, VIEWS, scene_of, scene_with
@@ -116,6 +117,11 @@ def test_named_parameters_follow_the_fitted_ones():
     )
     assert not by_fitted[:2, 5:].any()
     np.testing.assert_array_equal(by_fitted[2:], np.eye(len(names))[2:])
+    # Where nothing determines a parameter, a program states an infinite covariance.
+    by_names = jax.jit(lambda covariance: problem.covariance_by_names(z, covariance))
+    unknown, known = np.full(by_fitted.shape, np.inf), np.eye(len(names))
+    np.testing.assert_array_equal(by_names(unknown), unknown)
+    np.testing.assert_allclose(by_names(known), by_fitted @ by_fitted.T, rtol=1e-9)
     weights = np.asarray(problem.prior_weight.shared)
     assert names[1] == "camera.alpha_v"
     assert weights[1] == 1e3
