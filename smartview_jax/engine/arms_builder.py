@@ -90,8 +90,8 @@ def choices_of_arms(
             return [rest] if first == arm else []
         parameter_mask(everything, (path,))
         if is_aspect(path):
-            in_place = alpha_v_of(path)
-            return [aspect_of(k) for k, name in names[arm].items() if name == in_place]
+            alpha_v = alpha_v_of(path)
+            return [aspect_of(alone) for alone, name in names[arm].items() if name == alpha_v]
         return [alone for alone, name in names[arm].items() if f"{name}.".startswith(f"{path}.")]
 
     return {
