@@ -51,6 +51,7 @@ from .pixel_aspect import alpha_v_of as alpha_v_of
 from .pixel_aspect import aspect_of as aspect_of
 from .pixel_aspect import is_alpha_v as is_alpha_v
 from .pixel_aspect import is_aspect as is_aspect
+from .pixel_aspect import refuse_aspects as refuse_aspects
 from .pixel_sigma import SIGMA_FLOOR as SIGMA_FLOOR
 from .pixel_sigma import solve_with_estimated_sigma as solve_with_estimated_sigma
 from .pixel_sigma import squared_residuals as squared_residuals

@@ -6,7 +6,7 @@ is the ratio, so that the prior is on a single parameter, as all others. Paramet
 names, and covariances are stated for alpha_u and alpha_v: they are converted where a fit ends.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -33,6 +33,12 @@ def is_aspect(path: str) -> bool:
 def alpha_v_of(path: str) -> str:
     """Return the name of the alpha_v in whose place a ratio is fitted; other paths as they are."""
     return path.removesuffix(PIXEL_ASPECT) + _ALPHA_V if is_aspect(path) else path
+
+
+def refuse_aspects(paths: Iterable[str]) -> None:
+    """Raise a ValueError if a path names a ratio of focal lengths, where only priors may."""
+    for path in filter(is_aspect, paths):
+        raise ValueError(f"{path!r} is a path of priors only; expected {alpha_v_of(path)!r} here")
 
 
 def is_alpha_v(name: str) -> bool:
