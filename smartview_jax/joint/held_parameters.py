@@ -15,7 +15,6 @@ from jaxtyping import Int
 
 from ..cameras import Pinhole
 from ..engine import (
-    PIXEL_ASPECT,
     FittedChain,
     JointProblem,
     Step,
@@ -26,7 +25,7 @@ from ..engine import (
 from ..runtime.array_namespace import to_device
 from .arm_fit import SolvedArm
 from .joint_fit import JointFit
-from .parameter_estimates import display_unit, displayed_values, pixel_aspect
+from .parameter_estimates import display_unit, displayed_values, displayed_values_and_aspect
 from .refit import HeldValueTest, Refit, fitted_again
 from .stated_priors import contradicted_priors
 
@@ -84,8 +83,7 @@ def _fitted_names(problem: JointProblem) -> tuple[str, ...]:
 
 def _displayed_estimates(refit: Refit) -> dict[str, tuple[float, str]]:
     """Return the value and the unit of every parameter of a camera in a fit, by name."""
-    calibration = refit.chain.calibration
-    return displayed_values(calibration) | {PIXEL_ASPECT: (pixel_aspect(calibration), "")}
+    return displayed_values_and_aspect(refit.chain.calibration)
 
 
 def _contradicted_values(

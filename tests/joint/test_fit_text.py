@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from smartview_jax import Prior, calibrate, fit_joint
+from smartview_jax import Prior, calibrate, fit_joint, plots
 from smartview_jax.joint import parameter_estimates
 
 
@@ -46,6 +46,9 @@ def test_square_pixels_are_said_and_both_focal_lengths_are_as_certain(fit, shaky
         )
     off = abs(float(camera.alpha_v - shaky_scene.calibration.camera.alpha_v))
     assert off < 1.5 * told.confidence_half_width("camera.alpha_v")
+    (axes,) = plots.parameter_intervals(told, ["camera"], shaky_scene.calibration).axes
+    (true,) = (line for line in axes.lines if line.get_label() == "true")
+    assert 1.0 in true.get_ydata()
     correction = told.noise_estimate.correction_of(["camera.alpha_v"])
     assert correction.degrees_of_freedom[0] == told.degrees_of_freedom["camera.alpha_v"]
 
