@@ -214,7 +214,7 @@ def inverse_of_covariance(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndar
     scale = np.sqrt(np.diagonal(covariance))
     correlations = covariance / np.outer(scale, scale)
     if not np.isfinite(correlations).all():
-        return np.full_like(covariance, np.nan)
+        return np.full(covariance.shape, np.nan)
     values, vectors = np.linalg.eigh(correlations)
     if values[0] > KNOWN_VARIANCE:
         return np.linalg.inv(correlations) / np.outer(scale, scale)

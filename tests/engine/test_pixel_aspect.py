@@ -1,4 +1,4 @@
-"""What is known of the ratio of the focal lengths counts in a fit as in other hands' fits."""
+"""A prior on the ratio of the focal lengths has the effect that SciPy's least squares finds."""
 
 import dataclasses
 
