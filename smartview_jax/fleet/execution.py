@@ -137,15 +137,15 @@ def outcomes(
                 # The whole pool ended, though some of its jobs may have finished before.
                 finished, _ = wait(running)
             broken = []
-            for future in finished:
-                job = running.pop(future)
+            while finished:
+                job = running.pop(future := finished.pop())
                 if isinstance(_error_of(future), BrokenExecutor):
                     deaths = job.lonely_deaths + alone
                     broken.append(job._replace(is_suspect=True, lonely_deaths=deaths))
                 else:
                     workers.has_finished_a_job = True
                     outcome = _outcome_of(job.number, future)
-                    # The future would keep the result in memory while the caller works with it.
+                    # It would keep the result in memory longer than the caller does.
                     del future
                     yield outcome
                     del outcome

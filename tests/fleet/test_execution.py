@@ -134,6 +134,16 @@ def test_few_are_in_memory():
     assert most <= 2 * capacity + 2
 
 
+def test_a_result_that_was_taken_leaves_the_memory():
+    """Also if several were ready together."""
+    taken, most = weakref.WeakSet(), 0
+    for outcome in outcomes(lambda _: Input(), range(20), InPlace()):
+        taken.add(outcome.result)
+        del outcome
+        most = max(most, len(taken))
+    assert most == 1
+
+
 class ParticularError(Exception):
     """An error that cannot be read from its pickle, because its constructor takes two arguments."""
 
