@@ -9,7 +9,8 @@
 - A stereo head in twenty common states: its errors compared with OpenCV's stereoCalibrate and
   vision-calibration's rig, and the error of its relative pose over the stated one.
 - metric_workcell, four cameras next to an arm: distance from the true places of two of them, with
-  all states and with eight random states for each camera (`rigs_workcell`).
+  all states and with eight random states for each camera (`rigs_workcell`). What was asked of the
+  default there is a claim only of the fit that is told of square pixels.
 - Two arms that see one board, with and without errors of the arms: the base of one in the other's.
 - Four cameras of 500 views and 1000 points against one: seconds of a solve.
 

@@ -26,7 +26,7 @@ from .dataset import (
     repetition_warnings,
     require_picture_size,
 )
-from .engine import ROBOT_ERROR, Noise, Prior, parameter_names
+from .engine import PIXEL_ASPECT, ROBOT_ERROR, Noise, Prior, parameter_names
 from .fit_result import Rejection
 from .geometry import PoseLike, host_poses
 from .joint import (
@@ -347,8 +347,8 @@ def refit_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
 
     Such programs use transforms only. The fit takes the robot's poses as exact, so its camera and
     hand-eye transform absorb the robot's error: this hand-eye transform is not the best estimate
-    of the camera's mount. Rejected observations stay out and held parameters stay held; priors are
-    not applied.
+    of the camera's mount. Rejected observations stay out and held parameters stay held. Of the
+    priors only the one on the ratio of the focal lengths is applied, so that square pixels stay so.
 
     If the noise was estimated, the poses get the standard deviation `EXACT_POSE_SIGMA` instead,
     and the robot error fields of that fit are held at zero. The optimum is the same, and the
@@ -365,7 +365,8 @@ def refit_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
     not_asked_for = () if fit.noise_estimate is None else fit.noise_estimate.free
     free = tuple(name for name in estimated & {"target_scale"} if name not in not_asked_for)
     used = fit.joint.problem.observations.visible
-    options: JointOptions = {"noise": "trusted", "fixed": fixed, "free": free}
+    priors = _prior_on_aspect(fit.joint)
+    options: JointOptions = {"noise": "trusted", "fixed": fixed, "free": free, "priors": priors}
     if fit.noise_estimate is not None:
         field, pixel = fit.noise_estimate.encompassing_field, fit.noise_estimate.noise.pixel
         groups = () if field is None else field.group_names
@@ -376,6 +377,18 @@ def refit_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
             start = dataclasses.replace(start, robot_error=RobotError.without_errors(field))
     refitted = fit_joint(data, start, inliers=used, **options)
     return refitted.calibration.uncorrected
+
+
+def _prior_on_aspect(joint: JointFit) -> dict[str, Prior]:
+    """Return the prior on the ratio of the focal lengths that a fit had; empty without one."""
+    if PIXEL_ASPECT not in joint.std:
+        return {}
+    problem = joint.problem
+    names = problem.fitted_names(parameter_names(problem.parameters.start))
+    place = names.index(PIXEL_ASPECT)
+    mean = problem.host_start_values()[place] - problem.host_offset_at_start()[place]
+    std = 1.0 / float(np.asarray(problem.prior_weight.shared)[place])
+    return {PIXEL_ASPECT: Prior(mean=float(mean), std=std)}
 
 
 def _staged_comparison_warnings(staged: StagedFit, joint: JointFit) -> tuple[str, ...]:

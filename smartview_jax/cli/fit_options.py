@@ -317,7 +317,7 @@ def parse_rig_aspects(
         raise ValueError(f"--prior {texts[0]}: every camera is held by --camera")
     whole = sv.engine.PIXEL_ASPECT
     fitted = [name for name in cameras if name not in known]
-    units = {sv.engine.focal_length_of(path): "" for path in (whole, *_aspects_of(fitted))}
+    units = {sv.engine.alpha_v_of(path): "" for path in (whole, *_aspects_of(fitted))}
     priors: dict[str, sv.Prior] = {}
     parsed = [_parse_prior(text, units) for text in _prior_texts(texts)]
     # What is said of one camera holds against what is said of all, in whatever order.

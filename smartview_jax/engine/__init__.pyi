@@ -47,10 +47,11 @@ from .parameters import parameter_names as parameter_names
 from .parameters import step_names as step_names
 from .parameters import twist_by_step as twist_by_step
 from .pixel_aspect import PIXEL_ASPECT as PIXEL_ASPECT
+from .pixel_aspect import alpha_v_of as alpha_v_of
 from .pixel_aspect import aspect_of as aspect_of
-from .pixel_aspect import focal_length_of as focal_length_of
+from .pixel_aspect import is_alpha_v as is_alpha_v
 from .pixel_aspect import is_aspect as is_aspect
-from .pixel_aspect import is_focal_length as is_focal_length
+from .pixel_aspect import refuse_aspects as refuse_aspects
 from .pixel_sigma import SIGMA_FLOOR as SIGMA_FLOOR
 from .pixel_sigma import solve_with_estimated_sigma as solve_with_estimated_sigma
 from .pixel_sigma import squared_residuals as squared_residuals

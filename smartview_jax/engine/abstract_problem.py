@@ -4,7 +4,7 @@ A problem adds its observations: their residuals, and their normal equations.
 """
 
 import abc
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -131,10 +131,10 @@ class AbstractProblem(HostModule):
         """The cameras whose ratio of focal lengths is fitted in the place of alpha_v; or None."""
 
     def host_named_by_fitted(self, z: Step) -> Float[np.ndarray, "free free"] | None:
-        """Return the derivative of the free parameters as they are named by those that are fitted.
+        """Return the derivative of the free parameters that have names by the fitted ones.
 
-        A camera's alpha_v is named, but may have the ratio of the focal lengths in its place. None
-        if all parameters are fitted as they are named.
+        They differ where a ratio of focal lengths is fitted in the place of alpha_v; None if no
+        ratio is.
 
         Args:
             z: scaled step from the start.
@@ -156,13 +156,23 @@ class AbstractProblem(HostModule):
         values = self.start_values() + self.unscaled_step(z).shared
         by_fitted = self._take_free(self._take_free(aspects.named_by_fitted(values)).T).T
         named = by_fitted @ covariance @ by_fitted.T
-        # The covariance of what nothing determines is infinite.
-        return jnp.where(jnp.any(aspects.fits_aspect), named, covariance)
+        # If nothing determines a parameter, the whole covariance is infinite, and stays so.
+        converted = jnp.any(aspects.fits_aspect) & jnp.all(jnp.isfinite(covariance))
+        return jnp.where(converted, named, covariance)
+
+    def fitted_names(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return the names of all shared parameters, with the ratios in the places of alpha_v.
+
+        Args:
+            names: their names, with alpha_v.
+        """
+        aspects = self.fitted_aspects
+        return tuple(names) if aspects is None else aspects.fitted_names(names)
 
     def host_prior_information(self) -> Float[np.ndarray, "free free"]:
         """Return the information of the priors on the free shared parameters as they are named."""
         # Prior information is the square of the weight on each free parameter.
-        information = np.diag(np.asarray(self.prior_weight.shared)[np.asarray(self.free)] ** 2)
+        information = np.diag(self.host_prior_weight**2)
         by_fitted = self.host_named_by_fitted(self.zero_step())
         if by_fitted is None:
             return information
@@ -336,7 +346,7 @@ class AbstractProblem(HostModule):
 
     @property
     def host_prior_weight(self) -> Float[np.ndarray, "free"]:
-        """The inverse prior standard deviation of each free shared parameter; 0 is no prior."""
+        """The inverse prior standard deviation of each fitted shared parameter; 0 is no prior."""
         return np.asarray(self.prior_weight.shared)[np.asarray(self.free)]
 
     def prior_cost(self, z: Step) -> Float[Array, ""]:

@@ -22,7 +22,7 @@ from .parameters import (
     parameter_mask,
     step_names,
 )
-from .pixel_aspect import aspect_of, focal_length_of, is_aspect
+from .pixel_aspect import alpha_v_of, aspect_of, is_aspect
 from .priors import ParameterChoice, Prior
 from .problem_builder import equal_on_host, prior_means_and_weights
 from .rig_builder import BuiltRig, base_path, camera_mask, rig_parameter_names
@@ -90,8 +90,8 @@ def choices_of_arms(
             return [rest] if first == arm else []
         parameter_mask(everything, (path,))
         if is_aspect(path):
-            in_place = focal_length_of(path)
-            return [aspect_of(k) for k, name in names[arm].items() if name == in_place]
+            alpha_v = alpha_v_of(path)
+            return [aspect_of(alone) for alone, name in names[arm].items() if name == alpha_v]
         return [alone for alone, name in names[arm].items() if f"{name}.".startswith(f"{path}.")]
 
     return {

@@ -19,7 +19,7 @@ Normal equations in double precision resolve singular values down to about 1e-8.
 
 
 KNOWN_VARIANCE = 1e-12
-"""Variance of a combination of parameters, in units of their own, that counts as known exactly.
+"""Variance of a combination of standardised parameters below which it counts as known exactly.
 
 Smaller ones are rounding in double precision.
 """
@@ -172,8 +172,7 @@ def covariance_by_names(
     Args:
         covariance: covariance of the parameters that were fitted.
         std: their standard deviations; infinite where nothing determines them.
-        named_by_fitted: as `AbstractProblem.host_named_by_fitted` returns it; None if these are
-            the same.
+        named_by_fitted: as `AbstractProblem.host_named_by_fitted` returns it.
     """
     if named_by_fitted is None:
         return covariance, std
@@ -206,16 +205,18 @@ def per_view_std(
 
 
 def inverse_of_covariance(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Return the information matrix of a covariance.
+    """Return the information matrix of a covariance; not finite if the covariance is not.
 
-    A combination that is known exactly counts as one with the variance `KNOWN_VARIANCE`.
+    A combination of parameters that is known exactly counts as one with the variance
+    `KNOWN_VARIANCE`.
     """
     # Pixels and radians differ by many orders of magnitude: invert the correlations instead.
     scale = np.sqrt(np.diagonal(covariance))
     correlations = covariance / np.outer(scale, scale)
-    # What is not finite stays so.
-    values, vectors = np.linalg.eigh(np.nan_to_num(correlations))
-    if values[0] > KNOWN_VARIANCE or not np.isfinite(correlations).all():
+    if not np.isfinite(correlations).all():
+        return np.full(covariance.shape, np.nan)
+    values, vectors = np.linalg.eigh(correlations)
+    if values[0] > KNOWN_VARIANCE:
         return np.linalg.inv(correlations) / np.outer(scale, scale)
     # The focal lengths of square pixels are one number, and their difference is known exactly.
     inverse = (vectors / np.maximum(values, KNOWN_VARIANCE)) @ vectors.T

@@ -14,7 +14,7 @@ from .covariance import (
     per_view_std,
     reduced_equations,
 )
-from .pixel_aspect import aspect_of, is_focal_length
+from .pixel_aspect import aspect_of, is_alpha_v
 from .schur import BlockArrow
 
 
@@ -29,6 +29,7 @@ class FitCovariance(NamedTuple):
         std: their standard deviations, infinite where nothing determines them.
         degrees_of_freedom: degrees of freedom of their intervals.
         fitted_by_named: derivative of the parameters that were fitted by these, if they differ.
+        fitted_variances: variances of the parameters that were fitted, if they differ.
     """
 
     reduced: ReducedEquations
@@ -38,6 +39,7 @@ class FitCovariance(NamedTuple):
     std: Float[np.ndarray, "parameters"]
     degrees_of_freedom: Float[np.ndarray, "parameters"]
     fitted_by_named: Float[np.ndarray, "parameters parameters"] | None = None
+    fitted_variances: Float[np.ndarray, "parameters"] | None = None
 
     @classmethod
     def of(cls, matrix: BlockArrow, variance_factor: float = 1.0) -> "FitCovariance":
@@ -70,7 +72,11 @@ class FitCovariance(NamedTuple):
             gain=self.reduced.gain @ fitted_by_named,
         )
         return self._replace(
-            reduced=reduced, shared=shared, std=std, fitted_by_named=fitted_by_named
+            reduced=reduced,
+            shared=shared,
+            std=std,
+            fitted_by_named=fitted_by_named,
+            fitted_variances=self.std**2,
         )
 
     def with_added(
@@ -79,10 +85,16 @@ class FitCovariance(NamedTuple):
         degrees_of_freedom: Float[np.ndarray, "parameters"],
     ) -> "FitCovariance":
         """Return the covariance with what the estimation of the noise adds, and finite freedom."""
+        by_named, fitted_variances = self.fitted_by_named, self.fitted_variances
+        if by_named is not None and fitted_variances is not None:
+            # Rounding may make what is added to a ratio that is known slightly negative.
+            of_fitted = np.diagonal(by_named @ added @ by_named.T).clip(0.0)
+            fitted_variances = fitted_variances + of_fitted
         return self._replace(
             shared=self.shared + added,
             std=np.sqrt(self.std**2 + np.diagonal(added)),
             degrees_of_freedom=degrees_of_freedom,
+            fitted_variances=fitted_variances,
         )
 
     def std_by_name(self, built: AbstractBuiltProblem) -> dict[str, float]:
@@ -98,10 +110,11 @@ class FitCovariance(NamedTuple):
         of_views = of_views[np.asarray(problem.per_view_free)]
         names = (*built.shared_names, *built.per_view_names)
         by_name = dict(zip(names, map(float, (*self.std, *of_views)), strict=True))
-        return by_name | {
-            aspect_of(built.shared_names[k]): float(np.sqrt(row @ self.shared @ row))
-            for k, row in self._aspects(built)
-        }
+        variances = self.fitted_variances
+        if variances is None:
+            return by_name
+        stds = np.sqrt(variances)
+        return by_name | {name: float(stds[k]) for name, k in self._aspects(built).items()}
 
     def freedom_by_name(self, built: AbstractBuiltProblem) -> dict[str, float]:
         """Return the degrees of freedom of the shared parameters.
@@ -109,18 +122,16 @@ class FitCovariance(NamedTuple):
         Ratios of focal lengths that were fitted have alpha_v's.
         """
         names, freedom = built.shared_names, list(map(float, self.degrees_of_freedom))
-        of_aspects = {aspect_of(names[k]): freedom[k] for k, _ in self._aspects(built)}
+        of_aspects = {name: freedom[k] for name, k in self._aspects(built).items()}
         return dict(zip(names, freedom, strict=True)) | of_aspects
 
-    def _aspects(
-        self, built: AbstractBuiltProblem
-    ) -> list[tuple[int, Float[np.ndarray, "parameters"]]]:
-        """Return the place of each alpha_v whose ratio was fitted, and the ratio's derivative."""
+    def _aspects(self, built: AbstractBuiltProblem) -> dict[str, int]:
+        """Return the place of each ratio of focal lengths that was fitted, by its name."""
         matrix = self.fitted_by_named
         if matrix is None:
-            return []
-        return [
-            (k, matrix[k])
+            return {}
+        return {
+            aspect_of(name): k
             for k, name in enumerate(built.shared_names)
-            if is_focal_length(name) and matrix[k, k] != 1.0
-        ]
+            if is_alpha_v(name) and matrix[k, k] != 1.0
+        }

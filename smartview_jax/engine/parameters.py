@@ -39,7 +39,7 @@ from ..geometry import (
 from ..robot_errors import RobotError
 from ..runtime.array_namespace import array_namespace, as_float_array
 from ..runtime.modules import HostModule, with_fields
-from .pixel_aspect import aspect_of, focal_length_of, is_focal_length, with_aspect, without_aspect
+from .pixel_aspect import alpha_v_of, aspect_of, is_alpha_v, with_aspect, without_aspect
 
 STEP_NAMES = tuple(f"{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz")
 """Names of the parameters of a transform, after the transform's own name."""
@@ -103,7 +103,7 @@ def parameter_mask(names: Sequence[str], paths: Iterable[str]) -> Bool[np.ndarra
     """
     selected = np.zeros(len(names), dtype=bool)
     for path in paths:
-        matches = np.array([is_selected(name, (focal_length_of(path),)) for name in names])
+        matches = np.array([is_selected(name, (alpha_v_of(path),)) for name in names])
         if not matches.any():
             raise ValueError(_unknown_path_message(path, names))
         selected |= matches
@@ -113,7 +113,7 @@ def parameter_mask(names: Sequence[str], paths: Iterable[str]) -> Bool[np.ndarra
 def _unknown_path_message(path: str, names: Sequence[str]) -> str:
     """Return the error message for a path that selects nothing, with similar names."""
     prefixes = {".".join(name.split(".")[:k]) for name in names for k in range(1, 5)}
-    prefixes |= {aspect_of(name) for name in names if is_focal_length(name)}
+    prefixes |= {aspect_of(name) for name in names if is_alpha_v(name)}
     prefixes = sorted(name for name in prefixes if not name.startswith(f"{POSE_CORRECTIONS}."))
     close = difflib.get_close_matches(path, prefixes, n=3, cutoff=0.4)
     hint = f"did you mean {', '.join(close)}?" if close else f"known are {', '.join(prefixes)}"

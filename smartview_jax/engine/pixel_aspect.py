@@ -6,7 +6,7 @@ is the ratio, so that the prior is on a single parameter, as all others. Paramet
 names, and covariances are stated for alpha_u and alpha_v: they are converted where a fit ends.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -30,13 +30,19 @@ def is_aspect(path: str) -> bool:
     return f".{path}".endswith(f".{PIXEL_ASPECT}")
 
 
-def focal_length_of(path: str) -> str:
+def alpha_v_of(path: str) -> str:
     """Return the name of the alpha_v in whose place a ratio is fitted; other paths as they are."""
     return path.removesuffix(PIXEL_ASPECT) + _ALPHA_V if is_aspect(path) else path
 
 
-def is_focal_length(name: str) -> bool:
-    """Return whether a parameter is an alpha_v, in whose place a ratio can be fitted."""
+def refuse_aspects(paths: Iterable[str]) -> None:
+    """Raise a ValueError if a path names a ratio of focal lengths, where only priors may."""
+    for path in filter(is_aspect, paths):
+        raise ValueError(f"{path!r} is a path of priors only; expected {alpha_v_of(path)!r} here")
+
+
+def is_alpha_v(name: str) -> bool:
+    """Return whether a parameter is a camera's alpha_v."""
     return f".{name}".endswith(f".{_ALPHA_V}")
 
 
@@ -77,13 +83,16 @@ def equations_by_aspect(
     """Return the views' normal equations with the ratio as a parameter, where it is fitted."""
     # alpha_v = a alpha_u with the ratio a: alpha_u's column J_u becomes J_u + a J_v, and the column
     # of the ratio is alpha_u J_v, with J_v alpha_v's. The rows follow in the same way.
-    by_alpha_u = jnp.where(fits_aspect, alpha_v / alpha_u, 0.0)
-    by_second = jnp.where(fits_aspect, alpha_u, 1.0)
+    ones = jnp.ones(views.gradient.shape[1])
+    factors = ones.at[_V].set(jnp.where(fits_aspect, alpha_u, 1.0))
+    shares_of_v = (0.0 * ones).at[_U].set(jnp.where(fits_aspect, alpha_v / alpha_u, 0.0))
 
     def by_columns(x: Float[Array, "*rows columns"]) -> Float[Array, "*rows columns"]:
         """Return an array by the columns of the Jacobian."""
-        first = x[..., _U] + by_alpha_u * x[..., _V]
-        return x.at[..., _U].set(first).at[..., _V].multiply(by_second)
+        # All fits have this program. To set two columns, instead, took several times as long.
+        leading = tuple(range(x.ndim - 1))
+        share_of_v = jnp.expand_dims(shares_of_v, leading) * x[..., _V : _V + 1]
+        return jnp.expand_dims(factors, leading) * x + share_of_v
 
     by_rows = jnp.swapaxes(by_columns(views.matrix), 1, 2)
     return ViewNormalEquations(by_columns(by_rows), by_columns(views.gradient), views.cost)
@@ -117,6 +126,11 @@ class FittedAspects(NamedTuple):
         fits = xp.asarray(self.fits_aspect)[:, None]
         change = xp.where(fits, aspect * at_u + (alpha_u - 1.0) * at_v, 0.0)
         return xp.eye(len(values)) + at_v.T @ change
+
+    def fitted_names(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return names of all shared parameters, each ratio that is fitted in place of alpha_v."""
+        ratios = np.asarray(self.places)[np.asarray(self.fits_aspect), _V].tolist()
+        return tuple(aspect_of(name) if k in ratios else name for k, name in enumerate(names))
 
 
 def joined_aspects(parts: Sequence[FittedAspects]) -> FittedAspects | None:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..argument_checks import require_instance, require_names
 from .parameters import Step, host_step, parameter_mask
-from .pixel_aspect import alpha_u_of, focal_length_of, is_aspect
+from .pixel_aspect import alpha_u_of, alpha_v_of, is_aspect
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -17,8 +17,8 @@ class Prior:
     """A Gaussian prior on all parameters that a path selects; both numbers are given by name.
 
     The path `camera.pixel_aspect` is the ratio of the focal lengths, `alpha_v / alpha_u`, which is
-    one within 1e-3 or better for square pixels. A standard deviation of 1e-9 makes the focal
-    lengths one, as OpenCV's CALIB_FIX_ASPECT_RATIO does.
+    one within 1e-3 or better for square pixels. With a mean of one and a standard deviation of
+    1e-9 both focal lengths are the same number, as with OpenCV's CALIB_FIX_ASPECT_RATIO.
 
     Attributes:
         std: standard deviation, in the parameter's own unit (px, m, rad, 1).
@@ -113,10 +113,10 @@ class ParameterChoice(NamedTuple):
     def with_fitted_aspects(
         self, names: Sequence[str], is_free: Bool[np.ndarray, "parameters"]
     ) -> tuple["ParameterChoice", frozenset[str]]:
-        """Return each alpha_v in whose place the ratio of focal lengths is fitted.
+        """Return the choice, and each alpha_v in whose place the ratio of focal lengths is fitted.
 
-        The ratio is fitted where it has a prior. The choice is returned without the priors on
-        ratios of cameras that are held.
+        The ratio is fitted where it has a prior. The choice is without the priors on ratios of
+        cameras that are held.
 
         Args:
             names: names of all parameters.
@@ -126,10 +126,10 @@ class ParameterChoice(NamedTuple):
             ValueError: a prior on a ratio which is not positive, or next to a prior on its alpha_v,
                 or while alpha_v alone is held.
         """
-        fitted, state = set(), dict(zip(names, is_free.tolist(), strict=True))
+        fitted, free = set(), dict(zip(names, is_free.tolist(), strict=True))
         for path in filter(is_aspect, self.priors):
             parameter_mask(names, (path,))
-            alpha_v, mean = focal_length_of(path), self.priors[path].mean
+            alpha_v, mean = alpha_v_of(path), self.priors[path].mean
             others = [other for other in self.priors if other != path]
             if mean is not None and not mean > 0.0:
                 raise ValueError(f"prior on {path!r}: a ratio is positive; found a mean of {mean}")
@@ -138,16 +138,16 @@ class ParameterChoice(NamedTuple):
                     f"prior on {path!r}: give one either on the ratio of the focal lengths or on "
                     f"{alpha_v!r}, and not on both"
                 )
-            if state[alpha_u_of(alpha_v)] and not state[alpha_v]:
+            if free[alpha_u_of(alpha_v)] and not free[alpha_v]:
                 raise ValueError(
                     f"prior on {path!r}: {alpha_v!r} is held; hold {alpha_u_of(alpha_v)!r} instead"
                 )
-            if state[alpha_v]:
+            if free[alpha_v]:
                 fitted.add(alpha_v)
         priors = {
             path: prior
             for path, prior in self.priors.items()
-            if not is_aspect(path) or focal_length_of(path) in fitted
+            if not is_aspect(path) or alpha_v_of(path) in fitted
         }
         return self._replace(priors=priors), frozenset(fitted)
 
@@ -197,8 +197,8 @@ class ParameterTable(NamedTuple):
     @property
     def per_view_names(self) -> tuple[str, ...]:
         """The names of the free parameters of single views."""
-        own = np.flatnonzero(self.is_free[self.shared_size :])
-        return tuple(self.names[self.shared_size + k] for k in own)
+        names = self.names[self.shared_size :]
+        return tuple(names[k] for k in np.flatnonzero(self.is_free[self.shared_size :]))
 
     def fields(self) -> dict[str, Any]:
         """Return the fields of the problem that describe its parameters, as NumPy arrays."""

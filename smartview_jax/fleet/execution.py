@@ -137,18 +137,18 @@ def outcomes(
                 # The whole pool ended, though some of its jobs may have finished before.
                 finished, _ = wait(running)
             broken = []
-            for future in finished:
-                job, error = running.pop(future), _error_of(future)
-                if isinstance(error, BrokenExecutor):
+            while finished:
+                job = running.pop(future := finished.pop())
+                if isinstance(_error_of(future), BrokenExecutor):
                     deaths = job.lonely_deaths + alone
                     broken.append(job._replace(is_suspect=True, lonely_deaths=deaths))
                 else:
                     workers.has_finished_a_job = True
-                    result = None if error is not None else _received(future.result())
-                    # The future would keep the result in memory while the caller works with it.
+                    outcome = _outcome_of(job.number, future)
+                    # It would keep the result in memory longer than the caller does.
                     del future
-                    yield Outcome(job.number, result, error)
-                    del result
+                    yield outcome
+                    del outcome
             if broken:
                 workers.renew()
             for job in sorted(broken, key=lambda job: job.number):
@@ -200,6 +200,23 @@ def _error_of(future: Future[Any]) -> Exception | None:
     if error is not None and not isinstance(error, Exception):
         raise error
     return error
+
+
+def _outcome_of(number: int, future: Future[Any]) -> Outcome:
+    """Return the result of a job that has ended, or its error, also where the result is unreadable.
+
+    Args:
+        number: position of the job's input.
+        future: the job.
+    """
+    error = _error_of(future)
+    if error is not None:
+        return Outcome(number, None, error)
+    try:
+        return Outcome(number, _received(future.result()), None)
+    except Exception as unreadable:
+        reason = f"{type(unreadable).__name__}: {unreadable}"
+        return Outcome(number, None, RuntimeError(f"the result cannot be read here: {reason}"))
 
 
 class _Workers:

@@ -18,6 +18,7 @@ from .many import fit_many as fit_many
 from .open_directions import OpenDirections as OpenDirections
 from .parameter_estimates import ParameterEstimate as ParameterEstimate
 from .parameter_estimates import displayed_values as displayed_values
+from .parameter_estimates import displayed_values_and_aspect as displayed_values_and_aspect
 from .parameter_estimates import parameter_estimates as parameter_estimates
 from .plausibility import MAX_ROTATION_HALF_WIDTH as MAX_ROTATION_HALF_WIDTH
 from .plausibility import MAX_TRANSLATION_HALF_WIDTH as MAX_TRANSLATION_HALF_WIDTH

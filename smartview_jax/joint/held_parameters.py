@@ -15,11 +15,9 @@ from jaxtyping import Int
 
 from ..cameras import Pinhole
 from ..engine import (
-    PIXEL_ASPECT,
     FittedChain,
     JointProblem,
     Step,
-    is_focal_length,
     parameter_names,
     squared_residuals,
     with_lens,
@@ -27,7 +25,7 @@ from ..engine import (
 from ..runtime.array_namespace import to_device
 from .arm_fit import SolvedArm
 from .joint_fit import JointFit
-from .parameter_estimates import display_unit, displayed_values, pixel_aspect
+from .parameter_estimates import display_unit, displayed_values, displayed_values_and_aspect
 from .refit import HeldValueTest, Refit, fitted_again
 from .stated_priors import contradicted_priors
 
@@ -73,25 +71,19 @@ def held_value_test(fit: JointFit) -> HeldValueTest:
     for texts, refit in tests:
         if texts and refit is not None:
             added = added + refit.effect_of_held(fitted)
+    warnings = [text for texts, _ in tests for text in texts]
     by_fitted = problem.host_named_by_fitted(fit.solution.z)
-    if by_fitted is not None:
-        added = by_fitted @ added @ by_fitted.T
-    warnings = tuple(text for texts, _ in tests for text in texts)
-    return HeldValueTest(warnings, fit.parameter_names, added)
+    return HeldValueTest.of_fitted(warnings, fitted, added, by_fitted)
 
 
 def _fitted_names(problem: JointProblem) -> tuple[str, ...]:
     """Return the names of the parameters, with the ratio of focal lengths where it is fitted."""
-    names = parameter_names(problem.parameters.start)
-    if problem.parameters.fits_aspect is None:
-        return names
-    return tuple(PIXEL_ASPECT if is_focal_length(name) else name for name in names)
+    return problem.fitted_names(parameter_names(problem.parameters.start))
 
 
 def _displayed_estimates(refit: Refit) -> dict[str, tuple[float, str]]:
     """Return the value and the unit of every parameter of a camera in a fit, by name."""
-    calibration = refit.chain.calibration
-    return displayed_values(calibration) | {PIXEL_ASPECT: (pixel_aspect(calibration), "")}
+    return displayed_values_and_aspect(refit.chain.calibration)
 
 
 def _contradicted_values(
@@ -166,9 +158,9 @@ def held_camera_test(arm: SolvedArm) -> HeldValueTest:
     Args:
         arm: the fit of the cameras of one arm.
     """
-    problem, z, fitted = arm.built.problem, arm.solution.z, arm.built.shared_names
-    nothing = HeldValueTest((), fitted, np.zeros((len(fitted),) * 2))
-    names = arm.built.parameter_names
+    problem, z = arm.built.problem, arm.solution.z
+    nothing = HeldValueTest.nothing(arm.built.shared_names)
+    names = problem.fitted_names(arm.built.parameter_names)
     free = np.asarray(problem.free)
     # One or two views do not tell a lens.
     told = tuple(
@@ -195,12 +187,10 @@ def held_camera_test(arm: SolvedArm) -> HeldValueTest:
     }
     text = _contradiction_text(contradicted, refit, estimated, stated)
     refit = refit.believing(_others(held_names, contradicted), problem, names, z)
-    added, by_fitted = refit.effect_of_held(fitted), problem.host_named_by_fitted(z)
-    return HeldValueTest(
-        (f"{text}: correct them, or leave out these cameras (camera=, --camera)",),
-        fitted,
-        added if by_fitted is None else by_fitted @ added @ by_fitted.T,
-    )
+    fitted = [names[k] for k in free]
+    warning = f"{text}: correct them, or leave out these cameras (camera=, --camera)"
+    by_fitted = problem.host_named_by_fitted(z)
+    return HeldValueTest.of_fitted([warning], fitted, refit.effect_of_held(fitted), by_fitted)
 
 
 def _with_stated_shape(problem: JointProblem, fit: JointFit) -> JointProblem:

@@ -32,6 +32,7 @@ from ..engine import (
     eliminate,
     parameter_mask,
     reduced_equations,
+    refuse_aspects,
 )
 from ..runtime.compilation import compiled
 
@@ -66,7 +67,9 @@ class Influence(NamedTuple):
         Raises:
             ValueError: the path names no free parameter.
         """
-        selected = parameter_mask(self.parameter_names, (path or self.mount_path,))
+        paths = (path or self.mount_path,)
+        refuse_aspects(paths)
+        selected = parameter_mask(self.parameter_names, paths)
         return np.abs(self.deletion_changes[:, selected] / self.std[selected]).max(axis=1)
 
 

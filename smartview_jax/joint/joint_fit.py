@@ -18,6 +18,7 @@ from ..engine import (
     Solution,
     parameter_mask,
     parameter_names,
+    refuse_aspects,
 )
 from ..fit_result import FitResult, Rejection
 from ..runtime.compilation import is_traced
@@ -184,6 +185,7 @@ class JointFit(HostModule):
                 fitted, or undetermined parameters.
         """
         paths = self.calibration.transform_names[:1] if paths is None else paths
+        refuse_aspects(paths)
         indices = np.flatnonzero(parameter_mask(self.parameter_names, paths))
         names = [self.parameter_names[k] for k in indices]
         undetermined = [name for name in names if not np.isfinite(self.std[name])]

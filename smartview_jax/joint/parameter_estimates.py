@@ -106,6 +106,11 @@ def displayed_values(calibration: Calibration) -> dict[str, tuple[float, str]]:
     }
 
 
+def displayed_values_and_aspect(calibration: Calibration) -> dict[str, tuple[float, str]]:
+    """Return `displayed_values` with the ratio of the focal lengths, which has no unit."""
+    return displayed_values(calibration) | {PIXEL_ASPECT: (pixel_aspect(calibration), "")}
+
+
 def _values_with_units(calibration: Calibration) -> dict[str, tuple[float, float, str]]:
     """Return the value in SI units, the factor to the unit for printing, and this unit."""
     prismatic_offsets = _prismatic_offset_names(calibration)

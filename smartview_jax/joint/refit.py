@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import fdtrc
 
-from ..engine import AbstractProblem, Step, reduced_equations, solve
+from ..engine import AbstractProblem, Step, alpha_v_of, is_aspect, reduced_equations, solve
 from ..runtime.array_namespace import to_device
 from ..runtime.modules import with_fields
 from .parameter_estimates import display_unit
@@ -29,11 +29,39 @@ class HeldValueTest(NamedTuple):
         warnings: a sentence for each contradiction.
         names: names of the fitted parameters.
         added_covariance: covariance of their errors that contradicted values cause; zero without.
+        added_to_aspects: variances of the errors of ratios of focal lengths, by their names.
     """
 
     warnings: tuple[str, ...]
     names: tuple[str, ...]
     added_covariance: Float[np.ndarray, "free free"]
+    added_to_aspects: dict[str, float]
+
+    @classmethod
+    def of_fitted(
+        cls,
+        warnings: Sequence[str],
+        names: Sequence[str],
+        added: Float[np.ndarray, "free free"],
+        named_by_fitted: Float[np.ndarray, "free free"] | None,
+    ) -> "HeldValueTest":
+        """Return the test for the parameters as they are named.
+
+        Args:
+            warnings: a sentence for each contradiction.
+            names: names of the fitted parameters, with ratios of focal lengths.
+            added: covariance of their errors.
+            named_by_fitted: as `AbstractProblem.host_named_by_fitted` returns it.
+        """
+        of_aspects = {name: float(added[k, k]) for k, name in enumerate(names) if is_aspect(name)}
+        if named_by_fitted is not None:
+            added = named_by_fitted @ added @ named_by_fitted.T
+        return cls(tuple(warnings), tuple(map(alpha_v_of, names)), added, of_aspects)
+
+    @classmethod
+    def nothing(cls, names: Sequence[str]) -> "HeldValueTest":
+        """Return the test without contradictions; `names` are of the fitted parameters."""
+        return cls((), tuple(names), np.zeros((len(names),) * 2), {})
 
     def widened(
         self,
@@ -53,10 +81,8 @@ class HeldValueTest(NamedTuple):
         rows = [place[self.names[k]] for k in kept]
         added = np.zeros_like(covariance)
         added[np.ix_(rows, rows)] = self.added_covariance[np.ix_(kept, kept)]
-        variances = np.diagonal(added)
-        wider = {
-            n: float(np.hypot(std[n], np.sqrt(v))) for n, v in zip(names, variances, strict=True)
-        }
+        variances = dict(zip(names, np.diagonal(added), strict=True)) | self.added_to_aspects
+        wider = {name: float(np.hypot(std[name], np.sqrt(v))) for name, v in variances.items()}
         return covariance + added, {**std, **wider}
 
 

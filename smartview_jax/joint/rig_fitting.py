@@ -177,23 +177,21 @@ def _assembled(
     first = next(iter(arms.values()))
     together = joined or first
     built, solution, equations = together.built, together.solution, together.equations
-    by_fitted = built.problem.host_named_by_fitted(solution.z)
+    by_fitted, correction = built.problem.host_named_by_fitted(solution.z), None
     # The noise is stated or estimated: the variance factor is one.
-    uncertainty, correction = FitCovariance.of(equations.matrix), None
+    of_fitted = FitCovariance.of(equations.matrix)
+    uncertainty = of_fitted.by_names(by_fitted)
     estimated = (
         _added_by_estimation(first)
         if joined is None
-        else added_by_estimation(joined, arms, uncertainty.shared)
+        else added_by_estimation(joined, arms, of_fitted.shared)
     )
     if estimated is not None:
         added, correction = estimated
         if by_fitted is not None:
             added = by_fitted @ added @ by_fitted.T
-            correction = correction.by_names(by_fitted, uncertainty.shared)
-        uncertainty = uncertainty.by_names(by_fitted)
+            correction = correction.by_names(by_fitted, of_fitted.shared)
         uncertainty = uncertainty.with_added(added, correction.degrees_of_freedom)
-    else:
-        uncertainty = uncertainty.by_names(by_fitted)
     cameras: dict[str, _CameraFit] = {}
     chains = (solution.chain,) if joined is None else solution.chain
     for arm, of_cameras in zip(arms.values(), chains, strict=True):

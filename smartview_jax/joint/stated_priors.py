@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Int
 
-from ..engine import DEPTH_BIAS, ROBOT_ERROR, AbstractProblem, Step, aspect_of, is_size
+from ..engine import DEPTH_BIAS, ROBOT_ERROR, AbstractProblem, Step, is_size
 from ..runtime.array_namespace import to_device
 from ..runtime.modules import with_fields
 from .arm_fit import SolvedArm
@@ -27,13 +27,9 @@ def stated_prior_test(arm: SolvedArm) -> HeldValueTest:
     Args:
         arm: the fit of the cameras of one arm.
     """
-    problem, z, fitted = arm.built.problem, arm.solution.z, arm.built.shared_names
-    by_fitted = problem.host_named_by_fitted(z)
+    problem, z = arm.built.problem, arm.solution.z
     free, weight = np.asarray(problem.free), np.asarray(problem.prior_weight.shared)
-    names, aspects = arm.built.parameter_names, problem.fitted_aspects
-    if aspects is not None:
-        by_ratio = aspects.places[aspects.fits_aspect, 1].tolist()
-        names = tuple(aspect_of(n) if k in by_ratio else n for k, n in enumerate(names))
+    names = problem.fitted_names(arm.built.parameter_names)
     stated = [
         k
         for k in free.tolist()
@@ -41,7 +37,7 @@ def stated_prior_test(arm: SolvedArm) -> HeldValueTest:
         and not is_size(names[k])
         and not {ROBOT_ERROR, DEPTH_BIAS} & set(names[k].split("."))
     ]
-    nothing = HeldValueTest((), fitted, np.zeros((len(fitted),) * 2))
+    nothing = HeldValueTest.nothing(arm.built.shared_names)
     if not stated:
         return nothing
     values = np.array(problem.host_start_values())
@@ -58,10 +54,9 @@ def stated_prior_test(arm: SolvedArm) -> HeldValueTest:
     texts, refit = contradicted_priors(problem, names, z, np.array(stated), values_of)
     if not texts or refit is None:
         return nothing
-    added = refit.effect_of_held([names[k] for k in free])
-    return HeldValueTest(
-        tuple(texts), fitted, added if by_fitted is None else by_fitted @ added @ by_fitted.T
-    )
+    fitted = [names[k] for k in free]
+    by_fitted = problem.host_named_by_fitted(z)
+    return HeldValueTest.of_fitted(texts, fitted, refit.effect_of_held(fitted), by_fitted)
 
 
 def contradicted_priors(

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..calibration import Calibration
 from ..evaluation import PictureUncertainty, WorkspaceUncertainty
-from ..joint import JointFit, displayed_values, parameter_estimates
+from ..joint import JointFit, displayed_values_and_aspect, parameter_estimates
 from .figures import BLUE, RED, PlotFigure, picture_axes, single_plot
 
 
@@ -56,7 +56,7 @@ def parameter_intervals(
         ValueError: the fit estimated no parameter whose name begins so.
     """
     estimates = [e for e in parameter_estimates(fit) if e.half_width is not None]
-    true_values = {} if truth is None else displayed_values(truth)
+    true_values = {} if truth is None else displayed_values_and_aspect(truth)
     figure = PlotFigure(figsize=(2.8 * max(len(prefixes), 1), 3.0), layout="constrained")
     for axes, prefix in zip(
         figure.subplots(1, len(prefixes), squeeze=False)[0], prefixes, strict=True

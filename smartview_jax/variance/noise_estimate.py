@@ -187,21 +187,21 @@ class NoiseEstimate(NamedTuple):
         """Return the estimate with all covariances by the parameters as they are named.
 
         Args:
-            named_by_fitted: derivative of the fit's parameters as they are named by those fitted.
-            covariance: covariance of all fitted parameters, with those of the target's shape.
+            named_by_fitted: as `AbstractProblem.host_named_by_fitted` returns it.
+            covariance: covariance of the fitted parameters and then of the target's shape.
         """
         shape_count = len(covariance) - len(named_by_fitted)
         by_fitted = np.asarray(block_diag(named_by_fitted, np.eye(shape_count)))
 
-        def by_names(matrix: Float[np.ndarray, "shared shared"]) -> np.ndarray:
+        def converted(matrix: Float[np.ndarray, "shared shared"]) -> np.ndarray:
             """Return a covariance by the parameters as they are named."""
             return by_fitted @ matrix @ by_fitted.T
 
         lens, shape = self.lens, self.target_shape
         return self._replace(
             small_sample_correction=self.small_sample_correction.by_names(by_fitted, covariance),
-            between_models_covariance=by_names(self.between_models_covariance),
-            lens=None if lens is None else lens._replace(covariance=by_names(lens.covariance)),
+            between_models_covariance=converted(self.between_models_covariance),
+            lens=None if lens is None else lens._replace(covariance=converted(lens.covariance)),
             target_shape=None
             if shape is None
             else shape._replace(by_shape=by_fitted @ shape.by_shape),

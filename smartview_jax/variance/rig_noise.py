@@ -77,7 +77,8 @@ class RigNoiseEstimate(NamedTuple):
         step: its solution.
         small_sample_correction: contribution of the uncertain standard deviations to the
             covariance of the shared parameters.
-        between_models_covariance: covariance of the shared parameters between the models.
+        between_models_covariance: covariance of the shared parameters between the models; in both
+            the ratio of focal lengths is in the place of alpha_v where it is fitted.
         directions: the directions in which the robot's poses err most; None if they err alike in
             all. The standard deviations of poses in `noise` are then means over the axes.
         alike: the estimate for errors that are alike in all directions; None if this is it.

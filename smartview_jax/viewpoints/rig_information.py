@@ -26,6 +26,7 @@ from ..engine import (
     Step,
     build_rig,
     inverse_of_covariance,
+    is_aspect,
 )
 from ..joint import RigEstimate, RigFit
 from ..robot_errors import FieldChoice, nominal_arm
@@ -88,7 +89,10 @@ class RigInformationModel:
         built = build(rig)
         prior = to_device(built.problem.host_prior_information())
         # The information of all views is by the parameters as they are named.
-        build = functools.partial(build, priors=None)
+        priors = parameters.get("priors") or {}
+        build = functools.partial(
+            build, priors={path: priors[path] for path in priors if not is_aspect(path)}
+        )
         return cls(rig, dict(calibrations), build, prior, built.shared_names)
 
     @classmethod

@@ -1,8 +1,9 @@
-"""What is known of the ratio of the focal lengths counts in a fit as in other hands' fits."""
+"""A prior on the ratio of the focal lengths has the effect that SciPy's least squares finds."""
 
 import dataclasses
 
 import cv2
+import jax
 import numpy as np
 import pytest
 from fit_scenes import POINTS, VIEWS, scene_of, scene_with
@@ -14,6 +15,8 @@ from smartview_jax import Dataset, Noise, Prior, Rig, fit_joint
 from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.engine import (
     PIXEL_ASPECT,
+    BlockArrow,
+    FitCovariance,
     build_problem,
     build_rig,
     host_step,
@@ -21,6 +24,7 @@ from smartview_jax.engine import (
 )
 from smartview_jax.engine.pixel_aspect import with_aspect, without_aspect
 from smartview_jax.geometry import host_matrices
+from smartview_jax.runtime.array_namespace import to_device
 from smartview_jax.simulation import paper_calibration
 
 NOISE = Noise(0.15, 1e-4, 2e-4)
@@ -113,10 +117,35 @@ def test_named_parameters_follow_the_fitted_ones():
     )
     assert not by_fitted[:2, 5:].any()
     np.testing.assert_array_equal(by_fitted[2:], np.eye(len(names))[2:])
+    # Where nothing determines a parameter, a program states an infinite covariance.
+    by_names = jax.jit(lambda covariance: problem.covariance_by_names(z, covariance))
+    unknown, known = np.full(by_fitted.shape, np.inf), np.eye(len(names))
+    np.testing.assert_array_equal(by_names(unknown), unknown)
+    np.testing.assert_allclose(by_names(known), by_fitted @ by_fitted.T, rtol=1e-9)
     weights = np.asarray(problem.prior_weight.shared)
     assert names[1] == "camera.alpha_v"
     assert weights[1] == 1e3
     assert not np.delete(weights, 1).any()
+
+
+def test_a_ratio_is_as_certain_as_its_prior_where_focal_lengths_are_hardly_known():
+    """The focal lengths are known to 300 px and the ratio to 1e-12."""
+    scene, held = scene_of(0), ("u0", "v0", "lens")
+    built = build_problem(
+        scene.data,
+        scene.calibration,
+        fixed=("camera_from_tool", "base_from_world", *(f"camera.{name}" for name in held)),
+        priors=square(1e-12),
+    )
+    problem = built.problem
+    blocks = np.diag([300.0**-2, 1e24]), np.zeros((0, 6, 2)), np.zeros((0, 6, 6))
+    fitted = FitCovariance.of(BlockArrow(*map(to_device, blocks)))
+    known = fitted.by_names(problem.host_named_by_fitted(problem.zero_step()))
+    stds = {"camera.alpha_u": 300.0, "camera.alpha_v": 300.0, PIXEL_ASPECT: 1e-12}
+    assert known.std_by_name(built) == pytest.approx(stds, rel=1e-6, abs=0.0)
+    # What the estimation of the noise adds to one focal length alone, it adds to the ratio.
+    more = known.with_added(np.diag([0.0, 2.133**2]), np.full(2, 10.0))
+    assert more.std_by_name(built)[PIXEL_ASPECT] == pytest.approx(1e-3)
 
 
 def test_a_held_alpha_u_leaves_alpha_v_to_the_prior(seen_by_opencv):

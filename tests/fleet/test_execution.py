@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from smartview_jax.fleet import execution, outcomes
+from smartview_jax.fleet.transport import to_bytes
 from smartview_jax.runtime import compilation
 
 
@@ -55,6 +56,22 @@ def test_an_error_loses_its_own_result_only(make):
         found = by_index(outcomes(tenth, range(5), executor))
     assert found == {0: 0.0, 1: 0.1, 2: 0.2, 3: "three is odd", 4: 0.4}
     assert list(outcomes(tenth, [], InPlace())) == []
+
+
+class Unreadable:
+    """A result that can be sent to another process, but not read there."""
+
+    def __reduce__(self):
+        return float, ("no number",)
+
+
+def test_a_result_that_cannot_be_read_loses_itself_only():
+    def sent(number):
+        return execution._Sent(to_bytes(Unreadable() if number == 1 else number))
+
+    found = by_index(outcomes(sent, range(3), InPlace()))
+    assert (found[0], found[2]) == (0, 2)
+    assert found[1].startswith("the result cannot be read here: ValueError: could not convert")
 
 
 @pytest.fixture
@@ -115,6 +132,16 @@ def test_few_are_in_memory():
             del outcome
             most = max(most, len(alive))
     assert most <= 2 * capacity + 2
+
+
+def test_a_result_that_was_taken_leaves_the_memory():
+    """Also if several were ready together."""
+    taken, most = weakref.WeakSet(), 0
+    for outcome in outcomes(lambda _: Input(), range(20), InPlace()):
+        taken.add(outcome.result)
+        del outcome
+        most = max(most, len(taken))
+    assert most == 1
 
 
 class ParticularError(Exception):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from smartview_jax import Prior, calibrate, fit_joint
+from smartview_jax import Prior, calibrate, fit_joint, plots
+from smartview_jax.calibration_pipeline import refit_uncorrected
 from smartview_jax.joint import parameter_estimates
 
 
@@ -35,17 +36,23 @@ def test_every_transform_is_said_in_mm_and_degrees_with_its_interval(fit):
 def test_square_pixels_are_said_and_both_focal_lengths_are_as_certain(fit, shaky_scene):
     """The noise is estimated: both have the same freedom, too."""
     square = {"camera.pixel_aspect": Prior(mean=1.0, std=1e-9)}
-    told = calibrate(shaky_scene.data, "radial", priors=square).joint
+    both = calibrate(shaky_scene.data, "radial", priors=square)
+    told = both.joint
     assert re.search(r"pixel_aspect +1.0000000000 \+- 0.000000002\d", str(told))
     assert "pixel_aspect" not in str(fit)
     camera = told.calibration.camera
     assert float(camera.alpha_v / camera.alpha_u) == pytest.approx(1.0, abs=1e-12)
+    bare = refit_uncorrected(shaky_scene.data, both).camera
+    assert float(bare.alpha_v / bare.alpha_u) == pytest.approx(1.0, abs=1e-9)
     for of_parameters in (told.std, told.degrees_of_freedom):
         assert of_parameters["camera.alpha_v"] == pytest.approx(
             of_parameters["camera.alpha_u"], rel=1e-6
         )
     off = abs(float(camera.alpha_v - shaky_scene.calibration.camera.alpha_v))
     assert off < 1.5 * told.confidence_half_width("camera.alpha_v")
+    (axes,) = plots.parameter_intervals(told, ["camera"], shaky_scene.calibration).axes
+    (true,) = (line for line in axes.lines if line.get_label() == "true")
+    assert 1.0 in true.get_ydata()
     correction = told.noise_estimate.correction_of(["camera.alpha_v"])
     assert correction.degrees_of_freedom[0] == told.degrees_of_freedom["camera.alpha_v"]
 

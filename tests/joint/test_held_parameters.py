@@ -185,8 +185,12 @@ def test_pixels_that_are_not_square_are_named_and_widen_the_mount(scene):
     assert standardised_error(fit, scene) < 3.0
     # What is stated for alpha_u and alpha_v follows the ratio's error, too.
     camera, rows = fit.calibration.camera, [0, 1]
-    error = np.array([float(camera.alpha_u), float(camera.alpha_v)]) - 500.0
-    assert error @ np.linalg.solve(fit.covariance[np.ix_(rows, rows)], error) < 9.0
+    focal = np.array([float(camera.alpha_u), float(camera.alpha_v)])
+    error, covariance = focal - 500.0, fit.covariance[np.ix_(rows, rows)]
+    assert error @ np.linalg.solve(covariance, error) < 9.0
+    by_focal = np.array([-focal[1] / focal[0], 1.0]) / focal[0]
+    std = np.sqrt(by_focal @ covariance @ by_focal)
+    assert fit.std["camera.pixel_aspect"] == pytest.approx(std, rel=1e-3)
     told = {"camera.pixel_aspect": Prior(mean=1.0, std=1e-3)}
     fit = fit_joint(scene.data, start_with(scene), noise=NOISE, priors=told)
     assert contradictions(fit) == []

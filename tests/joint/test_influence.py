@@ -98,6 +98,14 @@ def test_a_path_that_names_nothing_is_refused(fit):
         view_influence(fit).max_standardised_change("camera_from_base")
 
 
+def test_a_ratio_of_focal_lengths_is_not_taken_for_a_focal_length(scene, fit):
+    path = "camera.pixel_aspect"
+    with pytest.raises(ValueError, match="of priors only; expected 'camera"):
+        view_influence(fit).max_standardised_change(path)
+    with pytest.raises(ValueError, match="of priors only"):
+        fit.p_value(scene.calibration, [path])
+
+
 def test_the_distance_is_that_to_a_pose_predicted_without_the_report(scene, fit):
     """Give view 3 a prior without size: its correction, by the prior and its own covariance."""
     scores = scored(fit.problem, fit.solution.z, True)

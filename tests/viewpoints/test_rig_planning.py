@@ -126,6 +126,18 @@ def test_square_pixels_are_known_before_the_first_view(commands):
     np.testing.assert_array_equal(model.information(rig), plain.information(rig))
 
 
+def test_what_is_known_of_the_poses_of_states_counts_in_their_information(commands):
+    rig, plain = of_cameras({"only": TRUTH}, commands)
+    exact = {"pose_corrections": Prior(std=1e-9)}
+    model = RigInformationModel.from_calibrations({"only": TRUTH}, rig, NOISE, priors=exact)
+    more = np.asarray(model.information(rig)) - np.asarray(plain.information(rig))
+    # What the poses' noise takes away is positive semidefinite, and not nothing.
+    scale = np.sqrt(np.diagonal(np.asarray(model.information(rig)), axis1=1, axis2=2))
+    values = np.linalg.eigvalsh(more / (scale[:, :, None] * scale[:, None, :]))
+    assert values.min() > -1e-9
+    assert values.max() > 0.1
+
+
 def _named(camera, names):
     """A single camera's parameters as its rig calls them."""
     return [f"{camera}.{name}" if name.startswith("camera") else name for name in names]
