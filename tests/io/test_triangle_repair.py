@@ -151,7 +151,10 @@ def test_a_fine_cylinder_is_round_not_bent():
 
 @pytest.mark.parametrize(
     ("unit", "scale", "message"),
-    [("m", 1e3, "an object of 60 m; expected metres"), ("mm", 1.0, "the object is 0.06 mm large")],
+    [
+        ("m", 1e3, "an object of 60 m; expected metres"),
+        ("mm", 1.0, "in mm the object is 0.06 mm large"),
+    ],
 )
 def test_a_part_in_another_unit_is_refused(tmp_path, unit, scale, message):
     """Millimetres read as metres are a house, and metres read as millimetres a grain."""
