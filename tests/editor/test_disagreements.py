@@ -76,6 +76,17 @@ def test_a_length_in_another_unit_leaves_the_points_where_the_clicks_are(scene):
     assert "mm by the clicks alone, 50000.00 mm is stated" in words
 
 
+def test_a_fact_holds_although_facts_about_other_points_cannot(scene):
+    session, ids, _ = house_with_edges(scene)
+    wrong, apart = [[ids[2], ids[7]]], [[ids[4], ids[9]]]
+    wrong_fact = session.add_constraint("known_length", wrong, value=50.0)
+    session.add_constraint("known_length", apart, value=0.05)
+    length, sigma = session.distance(*apart[0])
+    assert abs(length - 0.05) < 1e-9
+    assert sigma < 1e-7
+    assert {d.id for d in session.disagreements() if d.kind == "constraints"} == {wrong_fact}
+
+
 def test_two_of_three_clicks_are_suspects_where_each_pair_with_the_third_agrees(scene):
     session, ids, _ = house_with_edges(scene)
     # Along the curve of v1 the wrong click in v4 agrees with v1, as the right one in v2 does.
