@@ -118,11 +118,13 @@ class Findings(NamedTuple):
     ) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "coordinates coordinates"]]:
         """Return points by their clicks alone, m, and the joint covariance of the coordinates.
 
-        The errors of the calibration are common to all of them.
+        The clicks are as accurate as stated; the errors of the calibration are common to all.
         """
         estimates = [self.alone[point] for point in points]
         factor = np.concatenate([point.calibration_factor for point in estimates])
-        pictures = np.asarray(block_diag(*(point.picture_covariance for point in estimates)))
+        pictures = np.asarray(
+            block_diag(*(point.nominal_picture_covariance for point in estimates))
+        )
         return np.array([point.position for point in estimates]), pictures + factor @ factor.T
 
     def residuals(self, points: Sequence[int]) -> dict[Click, float]:

@@ -140,8 +140,8 @@ class DocumentEstimates:
         number = {point: k for k, point in enumerate(document.points)}
         constraints = [constraint_of(fact, number) for fact in document.constraints.values()]
         points = list(document.points.values())
-        estimates, features = self._geometry.refined(points, constraints)
-        judged = dict(zip(document.constraints, features.verdicts, strict=True))
+        estimates, features, verdicts = self._geometry.refined(points, constraints)
+        judged = dict(zip(document.constraints, verdicts, strict=True))
         if not features.result.converged:
             return _Refinement(self.by_clicks_alone(document), _without_solution(judged), None)
         return _Refinement(dict(zip(document.points, estimates, strict=True)), judged, features)

@@ -321,8 +321,7 @@ class ModelSession(AbstractDrawing):
     def save(self, path: str | os.PathLike[str] | None = None) -> Path:
         """Write the model as JSON, completely or not at all.
 
-        The model's covariance assumes that all clicks are right; its provenance lists what
-        disagrees.
+        The model's provenance lists what disagrees.
 
         Raises:
             ValueError: the session has no file and none is given, or nothing has a position yet.
