@@ -69,7 +69,7 @@ class Findings(NamedTuple):
         """Return why a constraint contradicts the clicks or the others; empty if it does not."""
         fact, verdict = self.document.constraints[number], self.verdicts[number]
         if verdict.violated:
-            is_lone = len(self.related(number)) == 1
+            is_lone = len(self.document.related_constraints(number)) == 1
             measured = self._measured(fact) if is_lone else ""
             return measured or "cannot hold together with the other facts and the clicks"
         if not verdict.contradicts:
@@ -79,7 +79,7 @@ class Findings(NamedTuple):
 
     def _measured(self, fact: DrawnConstraint) -> str:
         """Return what the clicks alone say about a fact; empty if they say nothing simple."""
-        points = sorted(_points_of(fact))
+        points = sorted(fact.points)
         ends = [self.alone[point] for point in points]
         if any(end.failure for end in ends):
             return ""
@@ -118,11 +118,13 @@ class Findings(NamedTuple):
     ) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "coordinates coordinates"]]:
         """Return points by their clicks alone, m, and the joint covariance of the coordinates.
 
-        The errors of the calibration are common to all of them.
+        The clicks are as accurate as stated; the errors of the calibration are common to all.
         """
         estimates = [self.alone[point] for point in points]
         factor = np.concatenate([point.calibration_factor for point in estimates])
-        pictures = np.asarray(block_diag(*(point.picture_covariance for point in estimates)))
+        pictures = np.asarray(
+            block_diag(*(point.nominal_picture_covariance for point in estimates))
+        )
         return np.array([point.position for point in estimates]), pictures + factor @ factor.T
 
     def residuals(self, points: Sequence[int]) -> dict[Click, float]:
@@ -133,22 +135,11 @@ class Findings(NamedTuple):
             for view, residual in self.estimates[point].residuals.items()
         }
 
-    def related(self, number: int) -> frozenset[int]:
-        """Return a constraint and all that share points with it, directly or through others."""
-        constraints = self.document.constraints
-        chosen, points = {number}, _points_of(constraints[number])
-        while more := {
-            k for k, fact in constraints.items() if k not in chosen and _points_of(fact) & points
-        }:
-            chosen |= more
-            points = points.union(*(_points_of(constraints[k]) for k in more))
-        return frozenset(chosen)
-
     def suspects(self, facts: Iterable[int], geometry: ViewGeometry) -> tuple[Click, ...]:
         """Return the clicks that explain why related facts contradict them, the likeliest first."""
         chosen = sorted(facts)
         constraints = [self.document.constraints[k] for k in chosen]
-        points = sorted(set().union(*map(_points_of, constraints)))
+        points = sorted(frozenset[int]().union(*(fact.points for fact in constraints)))
         estimates = [self.estimates[point] for point in points]
         # Facts that contradict each other say nothing about clicks.
         if any(self.verdicts[k].violated for k in chosen) or any(e.failure for e in estimates):
@@ -177,12 +168,12 @@ def disagreements_of(findings: Findings, geometry: ViewGeometry) -> list[Disagre
     drawn = {frozenset(ends): edge for edge, ends in findings.document.edges.items()}
     for number, reason in doubted.items():
         fact = findings.document.constraints[number]
-        related = findings.related(number)
+        related = findings.document.related_constraints(number)
         if related not in suspected:
             suspected[related] = findings.suspects(related, geometry)
         suspects = suspected[related]
         blame = _blame(suspects)
-        residuals = findings.residuals(sorted(_points_of(fact)))
+        residuals = findings.residuals(sorted(fact.points))
         facts.append(Disagreement("constraints", number, f"{reason}; {blame}", suspects, residuals))
         for pair, words in _wrong_pairs(fact, reason, findings).items():
             edge = drawn.get(frozenset(pair))
@@ -305,11 +296,6 @@ def _equal_edges(
         if frozenset(other.items[0]) in group
     ]
     return sorted(tuple(sorted(pair)) for pair in group), stated
-
-
-def _points_of(fact: DrawnConstraint) -> set[int]:
-    """Return the points of a fact."""
-    return {point for group in fact.items for point in group}
 
 
 def _in_mm(length: float, variance: float) -> str:

@@ -76,6 +76,11 @@ class DrawnConstraint:
     value: float | None = None
     sigma: float | None = None
 
+    @property
+    def points(self) -> frozenset[int]:
+        """The ids of all points that it constrains."""
+        return frozenset(point for group in self.items for point in group)
+
 
 @dataclasses.dataclass(frozen=True)
 class Document:
@@ -114,6 +119,16 @@ class Document:
         for point in points:
             self.existing("points", point)
         return points
+
+    def related_constraints(self, number: int) -> frozenset[int]:
+        """Return a constraint and all that share points with it, directly or through others."""
+        chosen, points = {number}, self.constraints[number].points
+        while more := {
+            k for k, fact in self.constraints.items() if k not in chosen and fact.points & points
+        }:
+            chosen |= more
+            points = points.union(*(self.constraints[k].points for k in more))
+        return frozenset(chosen)
 
     def _added(self, kind: str, part: Any) -> "Document":
         # Copied, never changed in place, because undo returns to earlier documents.
@@ -223,9 +238,7 @@ def _delete(document: Document, kind: str, id: int) -> Document:
         k: grasp for k, grasp in kept["grasps"].items() if grasp.face in kept["faces"]
     }
     kept["constraints"] = {
-        k: fact
-        for k, fact in constraints.items()
-        if all(p in points for group in fact.items for p in group)
+        k: fact for k, fact in constraints.items() if all(p in points for p in fact.points)
     }
     return dataclasses.replace(document, **kept)
 

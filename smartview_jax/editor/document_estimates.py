@@ -1,6 +1,7 @@
 """Estimate the points of a document, with or without constraints."""
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,8 +24,8 @@ With 200 a file has 360,000 numbers; above this a file has the covariance of eac
 class _Refinement(NamedTuple):
     """The points of a document with constraints, refined together.
 
-    Estimates and verdicts are by id, features in the document's order; None if the constraints
-    cannot hold, and the estimates are by the clicks alone.
+    Estimates and verdicts are by id, features in the document's order; features are None if the
+    constraints cannot hold, and the estimates are by the clicks alone.
     """
 
     estimates: dict[int, PointEstimate]
@@ -115,20 +116,43 @@ class DocumentEstimates:
 
     def _refined(self, document: Document) -> _Refinement:
         """Return the joint refinement of a document with constraints."""
+        made_from = document.points, document.constraints
+        return self._last.of(made_from, lambda: self._with_possible_facts(document))
 
-        def refine() -> _Refinement:
-            number = {point: k for k, point in enumerate(document.points)}
-            constraints = [constraint_of(fact, number) for fact in document.constraints.values()]
-            points = list(document.points.values())
-            estimates, features = self._geometry.refined(points, constraints)
-            judged = dict(zip(document.constraints, features.verdicts, strict=True))
-            if not features.result.converged:
-                # Facts that cannot hold are no reason to lose the points.
-                return _Refinement(self.by_clicks_alone(document), _without_solution(judged), None)
-            named = dict(zip(document.points, estimates, strict=True))
-            return _Refinement(named, judged, features)
+    def _with_possible_facts(self, document: Document) -> _Refinement:
+        """Return the refinement by all constraints but those that cannot hold."""
+        whole = self._attempt(document)
+        if whole.features is not None:
+            return whole
+        # Facts that cannot hold are no reason to lose the points, nor facts about other points.
+        groups = {document.related_constraints(number) for number in document.constraints}
+        parts = [whole] if len(groups) == 1 else [self._attempt(_part(document, g)) for g in groups]
+        failed = {k: v for part in parts if part.features is None for k, v in part.verdicts.items()}
+        possible = {k: fact for k, fact in document.constraints.items() if k not in failed}
+        if not possible:
+            return whole._replace(verdicts=failed)
+        rest = self._attempt(dataclasses.replace(document, constraints=possible))
+        verdicts = failed | rest.verdicts
+        return rest._replace(verdicts={k: verdicts[k] for k in document.constraints})
 
-        return self._last.of((document.points, document.constraints), refine)
+    def _attempt(self, document: Document) -> _Refinement:
+        """Return the refinement by all constraints, or the clicks alone if they cannot hold."""
+        number = {point: k for k, point in enumerate(document.points)}
+        constraints = [constraint_of(fact, number) for fact in document.constraints.values()]
+        points = list(document.points.values())
+        estimates, features, verdicts = self._geometry.refined(points, constraints)
+        judged = dict(zip(document.constraints, verdicts, strict=True))
+        if not features.result.converged:
+            return _Refinement(self.by_clicks_alone(document), _without_solution(judged), None)
+        return _Refinement(dict(zip(document.points, estimates, strict=True)), judged, features)
+
+
+def _part(document: Document, constraints: Collection[int]) -> Document:
+    """Return some of a document's constraints, with their points."""
+    facts = {k: document.constraints[k] for k in constraints}
+    needed = frozenset[int]().union(*(fact.points for fact in facts.values()))
+    points = {k: clicks for k, clicks in document.points.items() if k in needed}
+    return Document(points, constraints=facts)
 
 
 def _without_solution(verdicts: dict[int, ConstraintVerdict]) -> dict[int, ConstraintVerdict]:

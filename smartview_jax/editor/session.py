@@ -321,7 +321,7 @@ class ModelSession(AbstractDrawing):
     def save(self, path: str | os.PathLike[str] | None = None) -> Path:
         """Write the model as JSON, completely or not at all.
 
-        What disagrees in it is in the model's provenance: the covariance is of right clicks.
+        The model's provenance lists what disagrees.
 
         Raises:
             ValueError: the session has no file and none is given, or nothing has a position yet.

@@ -4,6 +4,7 @@ Points are triangulated from clicks and predicted in every view with an error el
 drawn as epipolar curves in the other views. Results are kept.
 """
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, TypedDict
 
@@ -15,6 +16,7 @@ from ..evaluation import CalibrationEstimate
 from ..modeling import (
     AbstractConstraint,
     AnyCalibration,
+    ConstraintVerdict,
     EpipolarCurve,
     ModelObservations,
     RefinedFeatures,
@@ -90,6 +92,8 @@ class PointEstimate(NamedTuple):
         visible: whether the predicted pixel is within each picture.
         residuals: clicked minus predicted pixel by the view's name.
         wrong_clicks: clicks that contradict those in the other views, by the view's name.
+        widening: standard deviation of its clicks over the stated one; above 1 if they contradict
+            each other.
         failure: why it has no position; empty if it has one.
     """
 
@@ -101,7 +105,13 @@ class PointEstimate(NamedTuple):
     visible: Bool[np.ndarray, "views"]
     residuals: Mapping[str, tuple[float, float]]
     wrong_clicks: Mapping[str, DoubtedClick]
+    widening: float
     failure: str
+
+    @property
+    def nominal_picture_covariance(self) -> Float[np.ndarray, "3 3"]:
+        """The covariance due to clicks that are as accurate as stated, m^2; to judge them by."""
+        return self.picture_covariance / self.widening**2
 
     @property
     def covariance(self) -> Float[np.ndarray, "3 3"]:
@@ -165,7 +175,27 @@ class ViewGeometry:
         """Return the estimates of points, all in one program."""
         pixels = self._clicked_pixels(points)
         triangulated = triangulate_points(self._calibration, self.command, pixels, **self._errors)
-        return self._estimates_from(triangulated, points, self._wrong_clicks(pixels))
+        wrong_clicks = self._wrong_clicks(pixels)
+        widening = self._widening(triangulated.residuals, wrong_clicks)
+        covariance = widening[:, None, None] ** 2 * triangulated.picture_covariance
+        widened = dataclasses.replace(triangulated, picture_covariance=covariance)
+        return self._estimates_from(widened, points, wrong_clicks, widening)
+
+    def _widening(
+        self,
+        residuals: Float[np.ndarray, "views points 2"],
+        wrong_clicks: Sequence[Mapping[str, DoubtedClick]],
+    ) -> Float[np.ndarray, "points"]:
+        """Return the standard deviation of each point's clicks over the stated one.
+
+        Nobody knows for sure which of contradictory clicks is wrong. Their standard deviation is
+        then estimated from their residuals (Birge's ratio), and the point is as uncertain.
+        """
+        sums, counts = np.nansum(residuals**2, axis=(0, 2)), np.isfinite(residuals).sum(axis=(0, 2))
+        # A point has three coordinates.
+        scatter = np.sqrt(sums / np.maximum(counts - 3, 1))
+        contradict = np.array([bool(wrong) for wrong in wrong_clicks], dtype=bool)
+        return np.where(contradict, np.maximum(scatter / self.click_sigma, 1.0), 1.0)
 
     def _wrong_clicks(
         self, pixels: Float[np.ndarray, "views points 2"]
@@ -212,21 +242,29 @@ class ViewGeometry:
 
     def refined(
         self, points: Sequence[Clicks], constraints: Sequence[AbstractConstraint]
-    ) -> tuple[list[PointEstimate], RefinedFeatures]:
-        """Return the estimates of points under constraints, and their refinement.
+    ) -> tuple[list[PointEstimate], RefinedFeatures, tuple[ConstraintVerdict, ...]]:
+        """Return the estimates of points under constraints, their refinement, and the verdicts.
+
+        The constraints are judged by clicks that are as accurate as stated.
 
         Raises:
             ValueError: an invalid constraint.
         """
+        pixels, alone = self._clicked_pixels(points), self.estimates(points)
+        widening = np.array([estimate.widening for estimate in alone])
         observations = ModelObservations(
-            self._calibration,
-            self.command,
-            self._clicked_pixels(points),
-            pixel_sigma=self.click_sigma,
+            self._calibration, self.command, pixels, pixel_sigma=self.click_sigma
         )
-        features = refine(None, observations, constraints, covariance=self._errors["covariance"])
-        wrong_clicks = [estimate.wrong_clicks for estimate in self.estimates(points)]
-        return self._estimates_from(features, points, wrong_clicks), features
+        covariance = self._errors["covariance"]
+        features = refine(None, observations, constraints, covariance=covariance)
+        verdicts = features.verdicts
+        if features.result.converged and (widening > 1.0).any():
+            sigmas = np.broadcast_to(self.click_sigma * widening, pixels.shape[:2])
+            widened = observations._replace(pixel_sigma=sigmas)
+            attempt = refine(None, widened, constraints, covariance=covariance)
+            features = attempt if attempt.result.converged else features
+        wrong_clicks = [estimate.wrong_clicks for estimate in alone]
+        return self._estimates_from(features, points, wrong_clicks, widening), features, verdicts
 
     def _clicked_pixels(self, points: Sequence[Clicks]) -> Float[np.ndarray, "views points 2"]:
         """Return the clicks of points as an array, NaN where a point was not clicked."""
@@ -241,6 +279,7 @@ class ViewGeometry:
         solution: TriangulatedPoints | RefinedFeatures,
         points: Sequence[Clicks],
         wrong_clicks: Sequence[Mapping[str, DoubtedClick]],
+        widening: Float[np.ndarray, "points"],
     ) -> list[PointEstimate]:
         """Return the estimates of points that were triangulated or refined."""
         # Points without a position are replaced by zeros; their predictions are not used.
@@ -270,6 +309,7 @@ class ViewGeometry:
                     jacobians.valid[:, k] & within & solution.ok[k],
                     residuals if solution.ok[k] else {},
                     wrong_clicks[k],
+                    float(widening[k]),
                     failures.get(k, ""),
                 )
             )

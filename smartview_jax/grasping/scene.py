@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 
 
 MAX_CLEARANCE = 0.5
-"""Largest distance that a robot is asked to keep, and radius of its links, m; a larger one is in
-another unit."""
+"""Largest margin and largest radius of a link, m; a larger one is in another unit."""
 
 
 class Obstacle(NamedTuple):
@@ -77,7 +76,7 @@ class Obstacle(NamedTuple):
         return cls(localized.model.name or "another object", vertices, np.asarray(mesh.faces))
 
     def check(self) -> None:
-        """Raise a ValueError for an obstacle that no checker of collisions could see as it is."""
+        """Raise a ValueError for a mesh with which collisions would not be found."""
         vertices, triangles = np.asarray(self.vertices), np.asarray(self.triangles)
         if vertices.ndim != 2 or vertices.shape[1] != 3 or triangles.shape[1:] != (3,):
             raise ValueError(

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from ..dataset import undetermined_twists
+from ..dataset import evenly_spaced, undetermined_twists
 from ..geometry import (
     host_adjoints,
     host_cross_matrices,
@@ -62,8 +62,7 @@ def minimum_norm_transforms(
             of its mount, or the target to the origin of its holder.
     """
     twists = undetermined_twists(mount_from_holder)
-    spaced = np.linspace(0, len(mount_from_holder) - 1, MAX_SEARCHED_VIEWS)
-    some = np.unique(spaced.astype(int))
+    some = evenly_spaced(len(mount_from_holder), MAX_SEARCHED_VIEWS)
     T, C = mount_from_holder[some], camera_from_world[some]
     translation = np.zeros(3) if start[1] is None else start[1][:3, 3]
     # One of the 24 rotations of a cube is within 63 degrees of any rotation.

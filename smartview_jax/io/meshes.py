@@ -29,7 +29,7 @@ MESH_FORMATS = ("obj", "ply", "stl", "glb", "gltf")
 """Endings of the files that are read and written."""
 
 MIN_EXTENT = 5e-4
-"""Smallest extent of a mesh, m; a smaller one was in a larger unit than was said."""
+"""Smallest extent of a mesh, m; a smaller one is in a larger unit than was stated."""
 
 COPLANAR_ANGLE = float(np.deg2rad(0.5))
 """Largest angle between the normals of two triangles of one flat face, rad."""
@@ -66,15 +66,17 @@ def read_mesh(
     except Exception as error:
         raise ValueError(f"{path}: not readable as {kind}: {error}") from error
     # The glTF standard fixes metres; the other formats have no unit.
-    scale = 1.0 if kind in ("glb", "gltf") else LENGTH_UNITS[unit]
+    unit = "m" if kind in ("glb", "gltf") else unit
     # Names of files have fewer restrictions than names of objects.
     name = nearest_name(path.stem)
     with errors_at(path):
-        model = model_from_triangles(scale * vertices, triangles, sharp_angle, name, str(path))
+        model = model_from_triangles(
+            LENGTH_UNITS[unit] * vertices, triangles, sharp_angle, name, str(path)
+        )
         if model.extent < MIN_EXTENT:
             raise ValueError(
-                f"with the unit {unit!r} the object is {1e3 * model.extent:.3g} mm large; expected "
-                f"{1e3 * MIN_EXTENT:g} mm or more"
+                f"read in {unit} the object is {1e3 * model.extent:.3g} mm large; expected "
+                f"{1e3 * MIN_EXTENT:g} mm or more: is it in another unit?"
             )
         return model
 
@@ -200,8 +202,8 @@ def _flat_groups(mesh: Any) -> Int[np.ndarray, "T"]:
     while True:
         # Flat faces are the connected parts of the graph of coplanar neighbours.
         groups = connected_parts(pairs[joined], len(mesh.faces))
-        # A round surface of very many triangles bends little from each to the next: there only
-        # neighbours that bend less are joined.
+        # A round surface of very many triangles bends little from each to the next. There a smaller
+        # angle is required.
         is_bent = _are_bent(mesh, groups)[groups[pairs]].any(axis=1) & joined
         if not is_bent.any():
             return groups

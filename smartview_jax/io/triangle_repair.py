@@ -67,25 +67,28 @@ def repaired_triangles(
     used = vertices[np.unique(triangles)]
     extent = float(np.ptp(used, axis=0).max())
     joined = _welded(vertices, extent, float(np.abs(used).max()))[triangles]
-    whole = joined[_areas(vertices[joined]) > MIN_RELATIVE_AREA * extent**2]
-    if not len(whole):
-        raise ValueError("the mesh has no triangles with an area")
+    whole = joined[(joined != np.roll(joined, 1, axis=1)).all(axis=1)]
     # The same three corners in any order.
     _, first = np.unique(np.sort(whole, axis=1), axis=0, return_index=True)
     single = whole[np.sort(first)]
-    is_turned = _turned(vertices, single)
-    oriented = np.where(is_turned[:, None], single[:, ::-1], single)
+    has_area = _areas(vertices[single]) > MIN_RELATIVE_AREA * extent**2
+    if not has_area.any():
+        raise ValueError("the mesh has no triangles with an area")
+    # A triangle without an area may join its neighbours, where a vertex is within a side.
+    everything = np.ones(len(single), bool)
+    kept = min((has_area, everything), key=lambda chosen: _open_sides(single[chosen]))
+    connected, has_area = single[kept], has_area[kept]
+    is_turned = _turned(vertices, connected)
+    oriented = np.where(is_turned[:, None], connected[:, ::-1], connected)[has_area]
     notes = []
-    if len(single) < len(whole):
-        notes.append(f"{len(whole) - len(single)} triangles that were given twice are left out")
-    if is_turned.any():
+    if repeated := len(whole) - len(single):
+        notes.append(f"triangles that repeat others and are left out: {repeated}")
+    if turned := int(is_turned[has_area].sum()):
         notes.append(
-            f"{is_turned.sum()} of {len(single)} triangles are turned over, so that all normals "
-            "point outward"
+            f"{turned} of {len(oriented)} triangles are turned over, so that normals point outward"
         )
-    open_count = int((_sides(oriented)[2] == 1).sum())
-    if open_count:
-        notes.append(f"the surface is open: {open_count} sides of triangles have no neighbour")
+    if open_sides := _open_sides(connected):
+        notes.append(f"the surface is open: {open_sides} sides of triangles have no neighbour")
     return RepairedTriangles(vertices, oriented, tuple(notes))
 
 
@@ -102,9 +105,12 @@ def _welded(
     from scipy.spatial import KDTree
 
     radius = max(WELD_DISTANCE * extent, 2.0 * SINGLE_PRECISION * largest)
-    # Each cluster is replaced by its first vertex. Rounding would separate neighbours at its steps.
-    pairs = KDTree(vertices).query_pairs(radius, output_type="ndarray")
-    labels = connected_parts(pairs, len(vertices))
+    # Equal vertices are joined first: all pairs of the thousands in the middle of a disc would take
+    # gigabytes. Rounding alone would separate neighbours at its steps.
+    places, place = np.unique(vertices, axis=0, return_inverse=True)
+    pairs = KDTree(places).query_pairs(radius, output_type="ndarray")
+    labels = connected_parts(pairs, len(places))[place.ravel()]
+    # Each cluster is replaced by its first vertex.
     first = np.full(len(vertices), len(vertices))
     np.minimum.at(first, labels, np.arange(len(vertices)))
     return first[labels]
@@ -133,12 +139,16 @@ def _sides(
     The direction is whether the side begins at the vertex of the smaller number; sides between the
     same two vertices are one line.
     """
-    pairs = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
-    _, line, counts = np.unique(
-        np.sort(pairs, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    line = line.ravel()
-    return pairs[:, 0] < pairs[:, 1], line, counts[line]
+    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    # One number for each pair of vertices: NumPy sorts numbers much faster than rows.
+    pair = np.minimum(start, end) * (triangles.max() + 1) + np.maximum(start, end)
+    _, line, counts = np.unique(pair, return_inverse=True, return_counts=True)
+    return start < end, line, counts[line]
+
+
+def _open_sides(triangles: Int[np.ndarray, "T 3"]) -> int:
+    """Return the number of sides of triangles at which no other triangle begins."""
+    return int((_sides(triangles)[2] == 1).sum())
 
 
 def _turned(
@@ -147,30 +157,42 @@ def _turned(
     """Return which triangles have to be turned over."""
     parts, is_turned = _consistent(triangles)
     corners = vertices[np.where(is_turned[:, None], triangles[:, ::-1], triangles)]
-    is_open = np.zeros(parts.max() + 1, bool)
-    np.logical_or.at(is_open, parts, (_sides(triangles)[2] != 2).reshape(-1, 3).any(axis=1))
     centred = corners - vertices[triangles[0, 0]]
     volumes = np.einsum("ti,ti->t", centred[:, 0], np.cross(centred[:, 1], centred[:, 2])) / 6.0
-    of_part = np.bincount(parts, volumes)
-    closed = np.flatnonzero(~is_open)
-    surfaces = {part: corners[parts == part] for part in closed}
-    for part in closed:
-        is_cavity = _surfaces_around(surfaces, part) % 2 == 1
-        if (of_part[part] < 0.0) != is_cavity:
-            is_turned[parts == part] ^= True
-    return is_turned
+    is_inward = np.bincount(parts, volumes) < 0.0
+    is_closed = _closed(triangles, parts)
+    is_cavity = _surfaces_around(corners, parts, is_closed) % 2 == 1
+    return is_turned ^ (is_closed & (is_inward != is_cavity))[parts]
 
 
-def _surfaces_around(surfaces: dict[int, Float[np.ndarray, "_ 3 3"]], part: int) -> int:
-    """Return how many other closed surfaces enclose one of them."""
-    inner = surfaces[part].reshape(-1, 3)
-    low, high = inner.min(axis=0), inner.max(axis=0)
-    count = 0
-    for other, outer in surfaces.items():
+def _closed(
+    triangles: Int[np.ndarray, "T 3"], parts: Int[np.ndarray, "T"]
+) -> Bool[np.ndarray, "parts"]:
+    """Return which connected parts of a surface have no border."""
+    _, line, _ = _sides(triangles)
+    # By part, since the line where two solids touch has two sides of each.
+    lines = line.max() + 1
+    own, counts = np.unique(np.repeat(parts, 3) * lines + line, return_counts=True)
+    return np.bincount(own // lines, counts % 2) == 0
+
+
+def _surfaces_around(
+    corners: Float[np.ndarray, "T 3 3"],
+    parts: Int[np.ndarray, "T"],
+    is_closed: Bool[np.ndarray, "parts"],
+) -> Int[np.ndarray, "parts"]:
+    """Return by how many other closed parts each closed part is enclosed; zero for open ones."""
+    low, high = np.full((len(is_closed), 3), np.inf), np.full((len(is_closed), 3), -np.inf)
+    np.minimum.at(low, parts, corners.min(axis=1))
+    np.maximum.at(high, parts, corners.max(axis=1))
+    counts = np.zeros(len(is_closed), int)
+    for part in np.flatnonzero(is_closed):
         # Boxes rule out nearly all pairs.
-        around = (outer.min(axis=(0, 1)) < low).all() and (outer.max(axis=(0, 1)) > high).all()
-        count += other != part and around and abs(winding_number(outer, inner[0])) > 0.5
-    return count
+        is_around = is_closed & (low < low[part]).all(axis=1) & (high > high[part]).all(axis=1)
+        point = corners[np.argmax(parts == part), 0]
+        surfaces = (corners[parts == other] for other in np.flatnonzero(is_around))
+        counts[part] = sum(abs(winding_number(surface, point)) > 0.5 for surface in surfaces)
+    return counts
 
 
 def _consistent(

@@ -66,8 +66,8 @@ def as_checked_command(poses: CommandLike, names: Sequence[str] | None = None) -
     farthest = np.abs(matrices[:, :3, 3]).max(axis=1, initial=0.0)
     for view in np.flatnonzero(farthest > MAX_TOOL_COORDINATE):
         raise ValueError(
-            f"poses: {known_as[view]}: the tool is {farthest[view]:.4g} m from the base: no arm is "
-            "that long; millimetres as metres?"
+            f"poses: {known_as[view]}: the tool is {farthest[view]:.4g} m from the base: no arm "
+            "is that long; millimetres given as metres?"
         )
     if joints is None:
         return Command(host_transforms(matrices))

@@ -98,8 +98,8 @@ class Gripper:
         """Check the dimensions.
 
         Raises:
-            ValueError: a length that is not positive, not finite or not in metres, or a transform
-                that is not rigid; the message names it.
+            ValueError: a length that is not positive, not finite or not in metres, an angle that is
+                not in radians, or a transform that is not rigid; the message names it.
         """
         lengths = {
             "max_opening": self.max_opening,

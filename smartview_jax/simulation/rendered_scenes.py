@@ -12,7 +12,7 @@ from ..calibration import Calibration
 from ..dataset import Dataset
 from ..detection import detect
 from ..geometry import PoseLike, as_se3
-from ..targets import AbstractTarget, StackedTarget
+from ..targets import AbstractTarget
 from .render import render
 from .scenes import Scene
 
@@ -48,9 +48,7 @@ def rendered_scene(
         options: passed on to `render`, other than its height and seed.
     """
     poses = as_se3(base_from_tool)
-    board, height_count = target, 1
-    if isinstance(target, StackedTarget):
-        board, height_count = target.board, len(target.heights)
+    board, height_count = target.flat_board, target.height_count
     views = len(poses.wxyz_xyz)
     true_pixels = np.asarray(calibration.project(poses, target.points)[0])
     pixels = np.empty_like(true_pixels).reshape(views, height_count, -1, 2)

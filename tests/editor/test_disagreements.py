@@ -41,6 +41,26 @@ def test_a_wrong_click_is_named_where_three_views_can_tell(scene):
     assert str(disagreement) in str(session)
 
 
+def test_a_point_with_a_wrong_click_is_as_uncertain_as_it_is_wrong(scene):
+    """The mean square of a position's error, in its standard deviations, is 3."""
+    rng = np.random.default_rng(0)
+    vertices = np.tile(np.arange(len(scene.truth.vertices)), 4)
+    session = open_session(scene, click_sigma=0.3)
+    points = []
+    for vertex in vertices:
+        clicks = {session.names[view]: scene.click(view, vertex, rng) for view in range(4)}
+        wrong = session.names[rng.integers(4)]
+        away = 8.0 * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi))
+        clicks[wrong] = (clicks[wrong][0] + away.real, clicks[wrong][1] + away.imag)
+        points.append(clicks)
+    errors = [
+        (estimate.position - scene.truth.vertices[vertex], estimate.covariance)
+        for vertex, estimate in zip(vertices, session.geometry.estimates(points), strict=True)
+    ]
+    mean = np.mean([error @ np.linalg.solve(covariance, error) for error, covariance in errors])
+    assert 1.5 < mean < 6.0
+
+
 def test_a_file_with_a_wrong_click_is_saved_with_a_warning(scene, tmp_path):
     with open_session(scene, tmp_path / "house.json") as session:
         ids = click_all(session, scene)
@@ -74,6 +94,17 @@ def test_a_length_in_another_unit_leaves_the_points_where_the_clicks_are(scene):
     np.testing.assert_array_equal(session.model().vertices, by_clicks)
     (words,) = [d.words for d in session.disagreements() if (d.kind, d.id) == ("constraints", fact)]
     assert "mm by the clicks alone, 50000.00 mm is stated" in words
+
+
+def test_a_fact_holds_although_facts_about_other_points_cannot(scene):
+    session, ids, _ = house_with_edges(scene)
+    wrong, apart = [[ids[2], ids[7]]], [[ids[4], ids[9]]]
+    wrong_fact = session.add_constraint("known_length", wrong, value=50.0)
+    session.add_constraint("known_length", apart, value=0.05)
+    length, sigma = session.distance(*apart[0])
+    assert abs(length - 0.05) < 1e-9
+    assert sigma < 1e-7
+    assert {d.id for d in session.disagreements() if d.kind == "constraints"} == {wrong_fact}
 
 
 def test_two_of_three_clicks_are_suspects_where_each_pair_with_the_third_agrees(scene):
@@ -136,6 +167,10 @@ def test_the_click_that_makes_a_stated_length_wrong_is_named(scene):
     by_kind = {disagreement.kind: disagreement for disagreement in session.disagreements()}
     assert by_kind["edges"].id == edges[1]
     assert {disagreement.suspects for disagreement in by_kind.values()} == {((ids[2], "v4"),)}
+    # The point is uncertain along the other edges, whatever this one's length.
+    off = np.linalg.norm(session.model().vertices[2] - scene.truth.vertices[2])
+    assert 3e-4 < off < 2.0 * session.model().vertex_sigma[2]
+    assert session.distance(ids[2], ids[7])[1] < 1e-6
     # A wrong fact is no click's fault.
     session.undo(), session.undo()
     session.click("v4", (u, v), ids[2])

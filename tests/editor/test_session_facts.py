@@ -139,7 +139,7 @@ def test_the_deviation_of_a_length_is_that_of_both_points_together(session, scen
         KnownLength((0, 5), 0.05),
         SamePlane(tuple(scene.truth.faces[2].loop)),
     ]
-    _, features = session.geometry.refined(points, constraints)
+    _, features, _ = session.geometry.refined(points, constraints)
     pairs = [(0, 1), (0, 4), (1, 6), (5, 9)]
     for (a, b), actual in zip(
         pairs, session.distances([(ids[a], ids[b]) for a, b in pairs]), strict=True

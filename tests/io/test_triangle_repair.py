@@ -1,5 +1,7 @@
 """Faults of mesh files, made by hand in solids of trimesh."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -32,9 +34,9 @@ def flipped(chosen):
         (flipped(np.arange(12) % 3 == 0), "4 of 12 triangles are turned over"),
         (
             np.concatenate([TRIANGLES, TRIANGLES[:2, [1, 2, 0]]]),
-            "2 triangles that were given twice",
+            "triangles that repeat others and are left out: 2",
         ),
-        (np.concatenate([TRIANGLES, TRIANGLES[:, ::-1]]), "12 triangles that were given twice"),
+        (np.concatenate([TRIANGLES, TRIANGLES[:, ::-1]]), "repeat others and are left out: 12"),
     ],
     ids=["inside out", "one turned", "some turned", "some twice", "both sides"],
 )
@@ -45,6 +47,18 @@ def test_a_box_is_the_same_box_despite_its_file(triangles, note):
     assert signed_volume(model.vertices, model.faces) == pytest.approx(BOX.volume)
     assert model.symmetry.order == len(Rotation.create_group("D2"))
     assert any(note in sentence for sentence in model.provenance)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_vertex_within_a_side_leaves_no_gap(turned):
+    """A triangle without an area joins both halves of the side to the neighbour."""
+    a, b, c = TRIANGLES[0]
+    vertices = np.concatenate([VERTICES, 0.5 * (VERTICES[[a]] + VERTICES[[b]])])
+    given = np.concatenate([TRIANGLES[1:], [[a, 8, c], [8, b, c], [a, b, 8]]])
+    repaired = repaired_triangles(vertices, given[:, ::-1] if turned else given)
+    assert volume(repaired) == pytest.approx(BOX.volume)
+    said = "13 of 13 triangles are turned over, so that normals point outward"
+    assert repaired.notes == ((said,) if turned else ())
 
 
 def test_a_sound_file_is_not_remarked_upon():
@@ -76,8 +90,10 @@ def test_a_cavity_is_empty_whichever_way_its_triangles_run(turned):
     assert volume(repaired) == pytest.approx(shells[0].volume - shells[1].volume)
 
 
-def test_each_of_several_solids_is_outward():
-    vertices = np.concatenate([VERTICES, VERTICES + np.array([0.2, 0.0, 0.0])])
+@pytest.mark.parametrize("shift", [(0.2, 0.0, 0.0), (0.06, 0.04, 0.0)], ids=["apart", "touching"])
+def test_each_of_several_solids_is_outward(shift):
+    """Also where they have an edge in common."""
+    vertices = np.concatenate([VERTICES, VERTICES + np.array(shift)])
     repaired = repaired_triangles(vertices, np.concatenate([TRIANGLES, TRIANGLES[:, ::-1] + 8]))
     assert volume(repaired) == pytest.approx(2.0 * BOX.volume)
 
@@ -88,6 +104,20 @@ def test_single_precision_far_from_the_origin_separates_no_vertices():
     corners[::2] = np.nextafter(corners[::2], np.float32(10.0))
     model = model_from_triangles(corners.astype(float), np.arange(36).reshape(-1, 3))
     assert (len(model.vertices), len(model.faces)) == (8, 6)
+
+
+def test_the_middle_of_a_fine_disc_takes_little_memory():
+    """In an STL it is as many vertices as the disc has triangles, and their pairs are millions."""
+    count = 3000
+    angles = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    rim = 0.02 * np.column_stack([np.cos(angles), np.sin(angles), 0.0 * angles])
+    corners = np.stack([rim, np.roll(rim, -1, axis=0), 0.0 * rim], axis=1).reshape(-1, 3)
+    tracemalloc.start()
+    repaired = repaired_triangles(corners, np.arange(3 * count).reshape(-1, 3))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert repaired.notes == (f"the surface is open: {count} sides of triangles have no neighbour",)
+    assert most < 20e6
 
 
 def test_a_strip_of_one_side_is_read():
@@ -121,7 +151,10 @@ def test_a_fine_cylinder_is_round_not_bent():
 
 @pytest.mark.parametrize(
     ("unit", "scale", "message"),
-    [("m", 1e3, "an object of 60 m; expected metres"), ("mm", 1.0, "the object is 0.06 mm large")],
+    [
+        ("m", 1e3, "an object of 60 m; expected metres"),
+        ("mm", 1.0, "in mm the object is 0.06 mm large"),
+    ],
 )
 def test_a_part_in_another_unit_is_refused(tmp_path, unit, scale, message):
     """Millimetres read as metres are a house, and metres read as millimetres a grain."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ...argument_checks import require_instance
+from ...argument_checks import MAX_COORDINATE, require_instance
 from ...calibration import Calibration
 from ...engine import Noise
 from ...geometry import check_rigid, host_matrices, host_transformed, look_at, spiral_directions
@@ -106,8 +106,9 @@ def next_view(
     Raises:
         TypeError: a calibration of another type, such as the views of a rig.
         ValueError: no object is left to look at, poses are in the base frame, neither candidates
-            nor a distance are given, candidates are empty or not rigid, a distance is not positive,
-            or no candidate is reachable or shows an object; the message says why.
+            nor a distance are given, candidates are empty, not rigid or not in metres, a distance
+            is not positive or not in metres, or no candidate is reachable or shows an object; the
+            message says why.
 
     For example, after `found = sv.localize(...).accepted`, the position error in m that is left:
 
@@ -173,7 +174,7 @@ def _checked_candidates(reachable: Reachable) -> Float[np.ndarray, "n 4 4"] | No
     """Return the given candidates as a batch, also a single one; None without candidates.
 
     Raises:
-        ValueError: there are none, or one is not a rigid transform; the message names it.
+        ValueError: there are none, or one is not a rigid transform or not in metres.
     """
     if reachable.camera_from_world is None:
         return None
@@ -187,6 +188,12 @@ def _checked_candidates(reachable: Reachable) -> Float[np.ndarray, "n 4 4"] | No
     problems = check_rigid(candidates, tuple(f"candidate {k}" for k in range(len(candidates))))
     for candidate, text in problems.items():
         raise ValueError(f"reachable: camera_from_world: {candidate}: {text}")
+    farthest = np.abs(candidates[:, :3, 3]).max()
+    if farthest > MAX_COORDINATE:
+        raise ValueError(
+            f"reachable: camera_from_world: expected metres, up to {MAX_COORDINATE:g}; found "
+            f"{farthest:.4g}"
+        )
     return candidates
 
 
@@ -197,9 +204,10 @@ def _distance(
 ) -> float:
     """Return the distance of the camera from the objects in new views, m."""
     if reachable.distance is not None:
-        if not 0.0 < reachable.distance < np.inf:
+        if not 0.0 < reachable.distance <= MAX_COORDINATE:
             raise ValueError(
-                f"reachable: distance: expected metres, more than 0; found {reachable.distance}"
+                f"reachable: distance: expected metres, more than 0 and up to {MAX_COORDINATE:g}; "
+                f"found {reachable.distance}"
             )
         return float(reachable.distance)
     if candidates is None:

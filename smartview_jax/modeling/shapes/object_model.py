@@ -24,8 +24,10 @@ from .grasp_frames import Grasp
 from .symmetry import Symmetry
 
 MAX_EXTENT = 10.0
-"""Largest extent of an object, m; a larger one was given in another unit: no arm reaches around it,
-while parts of 10 mm and more are common."""
+"""Largest extent of an object, m, as large as the reach of any arm.
+
+A larger one is in another unit: a part of 11 mm whose millimetres are taken for metres.
+"""
 
 MAX_RELATIVE_TOLERANCE = 0.1
 """Largest tolerance of a model over its extent."""

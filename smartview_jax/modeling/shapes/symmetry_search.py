@@ -43,6 +43,9 @@ It changes the time alone, not the result.
 TESTED_AT_ONCE = 1024
 """Number of rotations that are tested at once with a few points of rims."""
 
+MEASURED_AT_ONCE = 2**20
+"""Number of distances between vertices that are computed at once."""
+
 
 def find_symmetry(model: ObjectModel, tolerance: float | None = None) -> Symmetry:
     """Return the symmetry group of a model: of its corners, edges, faces and round rims.
@@ -389,15 +392,20 @@ def _candidate_rotations(
     centred: Float[np.ndarray, "V 3"], pair: list[int], tolerance: float
 ) -> Float[np.ndarray, "n 3 3"]:
     """Return the rotations that move a pair of vertices to another pair of the same shape."""
+    from scipy.spatial.distance import cdist
+
     first, second = pair
     radii = np.linalg.norm(centred, axis=1)
     distance = np.linalg.norm(centred[first] - centred[second])
     starts = np.flatnonzero(np.abs(radii - radii[first]) <= 2.0 * tolerance)
     ends = np.flatnonzero(np.abs(radii - radii[second]) <= 2.0 * tolerance)
-    apart = np.linalg.norm(centred[starts][:, None] - centred[ends], axis=2)
-    a, b = np.nonzero(np.abs(apart - distance) <= 2.0 * tolerance)
-    targets = centred[np.column_stack([starts[a], ends[b]])]
-    return _aligning_rotation(centred[pair], targets)
+    pairs = []
+    # In lots: the rims of a fine mesh have thousands of vertices, and their pairs are millions.
+    for lot in np.array_split(starts, 1 + len(starts) * len(ends) // MEASURED_AT_ONCE):
+        apart = cdist(centred[lot], centred[ends])
+        a, b = np.nonzero(np.abs(apart - distance) <= 2.0 * tolerance)
+        pairs.append(np.column_stack([lot[a], ends[b]]))
+    return _aligning_rotation(centred[pair], centred[np.concatenate(pairs)])
 
 
 def _aligning_rotation(

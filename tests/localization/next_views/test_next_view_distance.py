@@ -78,7 +78,14 @@ def test_a_candidate_that_is_no_pose_is_named(found, scale, said):
         next_of(found, candidates)
 
 
-@pytest.mark.parametrize("distance", [0.0, -0.3, float("nan"), float("inf")])
-def test_a_distance_is_positive(found, distance):
+def test_candidates_in_millimetres_are_refused(found):
+    candidates = np.linalg.inv(POSES)
+    candidates[:, :3, 3] *= 1e3
+    with pytest.raises(ValueError, match="camera_from_world: expected metres, up to 100; found"):
+        next_of(found, candidates)
+
+
+@pytest.mark.parametrize("distance", [0.0, -0.3, float("nan"), float("inf"), 300.0])
+def test_a_distance_is_positive_and_in_metres(found, distance):
     with pytest.raises(ValueError, match="distance: expected metres, more than 0"):
         next_of(found, np.linalg.inv(POSES), distance=distance)
