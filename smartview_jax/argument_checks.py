@@ -91,6 +91,11 @@ def require_instance(name: str, value: object, kind: type, hint: str = "") -> No
         raise TypeError(message + (f"; {hint}" if hint else ""))
 
 
+def is_selected(name: str, paths: Collection[str]) -> bool:
+    """Return whether a parameter has one of the paths as its name, or as the start of its name."""
+    return any(name == path or name.startswith(f"{path}.") for path in paths)
+
+
 def require_names(name: str, value: Sequence[str]) -> None:
     """Raise a ValueError for a single text where a sequence of names is expected."""
     # A text is itself a sequence, of its letters.

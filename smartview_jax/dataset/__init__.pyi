@@ -36,7 +36,6 @@ from .robot_motion import determine_transforms as determine_transforms
 from .robot_motion import distinct_poses as distinct_poses
 from .robot_motion import first_equal_pose as first_equal_pose
 from .robot_motion import given_places as given_places
-from .robot_motion import is_selected as is_selected
 from .robot_motion import never_turns as never_turns
 from .robot_motion import repeated_pairs as repeated_pairs
 from .robot_motion import repeated_pose_reason as repeated_pose_reason

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
+from ..argument_checks import is_selected
 from ..fit_result import Rejection
 from ..geometry import host_adjoints, host_matrices
 
@@ -331,8 +332,3 @@ def given_places(
         all(is_selected(f"{name}.translation.{axis}", paths) for axis in "xyz")
         for name in transform_names
     )
-
-
-def is_selected(name: str, paths: Collection[str]) -> bool:
-    """Return whether a parameter has one of the paths as its name, or as the start of its name."""
-    return any(name == path or name.startswith(f"{path}.") for path in paths)

@@ -26,9 +26,9 @@ from jax.flatten_util import ravel_pytree
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
+from ..argument_checks import is_selected
 from ..calibration import BASES, Calibration, DepthBias
 from ..cameras import Camera, moved_cameras
-from ..dataset import is_selected
 from ..geometry import (
     host_exponentials,
     host_matrices,

@@ -9,12 +9,10 @@ names, and covariances are stated for alpha_u and alpha_v: they are converted wh
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..runtime.array_namespace import AnyArray, array_namespace
-from .view_normal_equations import ViewNormalEquations
 
 PIXEL_ASPECT = "camera.pixel_aspect"
 """The name of the ratio of the focal lengths, alpha_v / alpha_u."""
@@ -72,30 +70,6 @@ def without_aspect(
     xp = array_namespace(numbers)
     second = xp.where(fits_aspect, numbers[_V] * numbers[_U], numbers[_V])
     return xp.concatenate([numbers[:_V], second[None], numbers[_V + 1 :]])
-
-
-def equations_by_aspect(
-    views: ViewNormalEquations,
-    alpha_u: Float[Array, ""],
-    alpha_v: Float[Array, ""],
-    fits_aspect: Bool[Array, ""],
-) -> ViewNormalEquations:
-    """Return the views' normal equations with the ratio as a parameter, where it is fitted."""
-    # alpha_v = a alpha_u with the ratio a: alpha_u's column J_u becomes J_u + a J_v, and the column
-    # of the ratio is alpha_u J_v, with J_v alpha_v's. The rows follow in the same way.
-    ones = jnp.ones(views.gradient.shape[1])
-    factors = ones.at[_V].set(jnp.where(fits_aspect, alpha_u, 1.0))
-    shares_of_v = (0.0 * ones).at[_U].set(jnp.where(fits_aspect, alpha_v / alpha_u, 0.0))
-
-    def by_columns(x: Float[Array, "*rows columns"]) -> Float[Array, "*rows columns"]:
-        """Return an array by the columns of the Jacobian."""
-        # All fits have this program. To set two columns, instead, took several times as long.
-        leading = tuple(range(x.ndim - 1))
-        share_of_v = jnp.expand_dims(shares_of_v, leading) * x[..., _V : _V + 1]
-        return jnp.expand_dims(factors, leading) * x + share_of_v
-
-    by_rows = jnp.swapaxes(by_columns(views.matrix), 1, 2)
-    return ViewNormalEquations(by_columns(by_rows), by_columns(views.gradient), views.cost)
 
 
 class FittedAspects(NamedTuple):

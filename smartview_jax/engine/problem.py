@@ -25,7 +25,7 @@ from .abstract_problem import AbstractProblem, NormalEquations, ViewBlocks
 from .depth_equations import DepthEquations, depth_residuals, linearise_depths
 from .losses import AbstractLoss
 from .parameters import DEPTH_BIAS_NAMES, Parameters, Step
-from .pixel_aspect import FittedAspects, equations_by_aspect
+from .pixel_aspect import FittedAspects
 from .pose_jacobians import PoseJacobians, corrections_at_tool, linearise_poses
 from .prepared_poses import PreparedPoses, prepare_poses
 from .schur import BlockArrow
@@ -390,7 +390,7 @@ class JointProblem(AbstractProblem):
         )
         if fits_aspect is None:
             return views
-        return equations_by_aspect(views, camera.alpha_u, camera.alpha_v, fits_aspect)
+        return views.by_aspect(camera.alpha_u, camera.alpha_v, fits_aspect)
 
     def _apply_chain_rule(
         self, pose_jacobians: PoseJacobians, views: ViewNormalEquations

@@ -58,6 +58,34 @@ class ViewNormalEquations(eqx.Module):
     gradient: Float[Array, "views columns"]
     cost: Float[Array, "views"]
 
+    def by_aspect(
+        self,
+        alpha_u: Float[Array, ""],
+        alpha_v: Float[Array, ""],
+        fits_aspect: Bool[Array, ""],
+    ) -> "ViewNormalEquations":
+        """Return the equations with the ratio of the focal lengths as a parameter.
+
+        Args:
+            alpha_u, alpha_v: the focal lengths.
+            fits_aspect: whether the ratio is fitted in the place of alpha_v; else nothing changes.
+        """
+        # alpha_v = a alpha_u with the ratio a: alpha_u's column J_u becomes J_u + a J_v, and the
+        # column of the ratio is alpha_u J_v, with J_v alpha_v's. The rows follow in the same way.
+        ones = jnp.ones(self.gradient.shape[1])
+        factors = ones.at[1].set(jnp.where(fits_aspect, alpha_u, 1.0))
+        shares_of_v = (0.0 * ones).at[0].set(jnp.where(fits_aspect, alpha_v / alpha_u, 0.0))
+
+        def by_columns(x: Float[Array, "*rows columns"]) -> Float[Array, "*rows columns"]:
+            """Return an array by the columns of the Jacobian."""
+            # All fits have this program. To set two columns, instead, took several times as long.
+            leading = tuple(range(x.ndim - 1))
+            share_of_v = jnp.expand_dims(shares_of_v, leading) * x[..., 1:2]
+            return jnp.expand_dims(factors, leading) * x + share_of_v
+
+        by_rows = jnp.swapaxes(by_columns(self.matrix), 1, 2)
+        return ViewNormalEquations(by_columns(by_rows), by_columns(self.gradient), self.cost)
+
 
 def linearise_views(
     camera: Camera,

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..dataset import is_selected, undetermined_motions
+from ..argument_checks import is_selected
+from ..dataset import undetermined_motions
 from ..engine import ParameterChoice
 
 DETERMINED_PART = 1e-6

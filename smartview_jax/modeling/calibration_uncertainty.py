@@ -31,7 +31,7 @@ from ..robots import Command, CommandLike
 from ..runtime.compilation import compiled
 from ..runtime.padding import repeat_last
 from .rig_views import AnyCalibration, RigViews
-from .view_poses import SeenViews, as_checked_command, chain_command, padded_views
+from .view_poses import SeenViews, as_rigid_command, chain_command, padded_views
 
 
 class UncertaintyOptions(TypedDict, total=False):
@@ -129,7 +129,7 @@ class CalibrationUncertainty(NamedTuple):
             ValueError: as in `of`, or a pose that is not rigid.
         """
         calibration.require_one_arm("the uncertainty of a camera's pose")
-        reported = as_checked_command(poses)
+        reported = as_rigid_command(poses)
         count = len(reported.base_from_tool.wxyz_xyz)
         return cls._of_commands(padded_views(reported), count, calibration, covariance, noise)
 

@@ -44,9 +44,29 @@ def as_checked_command(poses: CommandLike, names: Sequence[str] | None = None) -
         names: names of the views, as many as poses; by default view 0, view 1, ...
 
     Raises:
-        ValueError: a pose that is not rigid, or farther than an arm reaches, with the view; poses
-            without one batch axis, or not one for each view; or joint readings for another number
-            of views.
+        ValueError: as `as_rigid_command`, or a pose farther than an arm reaches, with the view.
+    """
+    command = as_rigid_command(poses, names)
+    positions = np.asarray(command.base_from_tool.wxyz_xyz)[:, 4:]
+    farthest = np.abs(positions).max(axis=1, initial=0.0)
+    for view in np.flatnonzero(farthest > MAX_TOOL_COORDINATE):
+        raise ValueError(
+            f"poses: view {view if names is None else names[view]}: the tool is "
+            f"{farthest[view]:.4g} m from the base: no arm is that long; millimetres given as "
+            "metres?"
+        )
+    return command
+
+
+def as_rigid_command(poses: CommandLike, names: Sequence[str] | None = None) -> Command:
+    """Return poses of views, out of reach or not, as a command of host arrays.
+
+    Args:
+        poses, names: as in `as_checked_command`.
+
+    Raises:
+        ValueError: a pose that is not rigid, with the view; poses without one batch axis, or not
+            one for each view; or joint readings for another number of views.
     """
     reported, joints = poses, None
     if isinstance(poses, Command):
@@ -63,12 +83,6 @@ def as_checked_command(poses: CommandLike, names: Sequence[str] | None = None) -
     if problems := check_rigid(matrices, known_as):
         problem_texts = "; ".join(f"{view}: {text}" for view, text in problems.items())
         raise ValueError(f"poses: {problem_texts}")
-    farthest = np.abs(matrices[:, :3, 3]).max(axis=1, initial=0.0)
-    for view in np.flatnonzero(farthest > MAX_TOOL_COORDINATE):
-        raise ValueError(
-            f"poses: {known_as[view]}: the tool is {farthest[view]:.4g} m from the base: no arm "
-            "is that long; millimetres given as metres?"
-        )
     if joints is None:
         return Command(host_transforms(matrices))
     readings = np.asarray(joints, dtype=float)

@@ -135,7 +135,8 @@ def check_motion(data: Dataset, views: PairedViews) -> MotionChecks:
         used.astype(float),
         turns,
         data.view_ids,
-        may_be_inaccurate=misfit is None,
+        # A wrong convention chooses wrong ones of two poses, which then look like noise.
+        may_be_inaccurate=misfit is None and views.choice is None,
     )
     # The poses of a small target scatter by more than the check allows for.
     is_small_target = views.choice is not None and views.choice.explained

@@ -88,9 +88,10 @@ def test_a_calibration_for_each_camera_and_one_report(
 ):
     out, fitted = tmp_path / "out", []
 
-    def known_fit(part, lens, camera, start, progress=None):
+    def known_fit(part, lens, camera, start, priors, progress=None):
         """The fit of these data; fits of the folds take as long, and are not tested here."""
         fitted.append(part)
+        assert not priors
         assert lens == "opencv4"
         assert camera is None
         assert start is None
