@@ -192,13 +192,14 @@ class ParameterTable(NamedTuple):
     @property
     def shared_names(self) -> tuple[str, ...]:
         """The names of the free shared parameters."""
-        return tuple(self.names[k] for k in self._free_shared)
+        return tuple(self.names[int(k)] for k in self._free_shared)
 
     @property
     def per_view_names(self) -> tuple[str, ...]:
         """The names of the free parameters of single views."""
         names = self.names[self.shared_size :]
-        return tuple(names[k] for k in np.flatnonzero(self.is_free[self.shared_size :]))
+        is_free = self.is_free[self.shared_size :]
+        return tuple(names[k] for k in np.flatnonzero(is_free).tolist())
 
     def fields(self) -> dict[str, Any]:
         """Return the fields of the problem that describe its parameters, as NumPy arrays."""

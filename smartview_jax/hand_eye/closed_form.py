@@ -342,7 +342,7 @@ def _dual_quaternion(
     """Return real part q and dual part `t q / 2` of the unit dual quaternions of poses."""
     q = _quaternions(poses)
     t = np.pad(poses[:, :3, 3], ((0, 0), (1, 0)))
-    return q, 0.5 * quaternion_product(t, q)
+    return q, 0.5 * np.asarray(quaternion_product(t, q))
 
 
 def _quadratic_roots(a: float, b: float, c: float) -> Float[np.ndarray, "2"]:

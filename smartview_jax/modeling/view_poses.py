@@ -49,7 +49,7 @@ def as_checked_command(poses: CommandLike, names: Sequence[str] | None = None) -
     command = as_rigid_command(poses, names)
     positions = np.asarray(command.base_from_tool.wxyz_xyz)[:, 4:]
     farthest = np.abs(positions).max(axis=1, initial=0.0)
-    for view in np.flatnonzero(farthest > MAX_TOOL_COORDINATE):
+    for view in np.flatnonzero(farthest > MAX_TOOL_COORDINATE).tolist():
         raise ValueError(
             f"poses: view {view if names is None else names[view]}: the tool is "
             f"{farthest[view]:.4g} m from the base: no arm is that long; millimetres given as "
