@@ -22,7 +22,7 @@ from jaxlie import SE3
 from jaxtyping import Bool, Float
 
 from ..geometry import mean_matrix
-from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
+from .closure import MAX_CLOSURE_SCORE, Poses, contradicts_calibration, explains_most
 from .misfit_evidence import STRONG_EVIDENCE, errors_of, evidence
 from .picture_turns import MIRRORED, PictureTurn, mirrored_poses, turn_of_change
 from .transform_fit import (
@@ -117,12 +117,12 @@ class ChangeReport(NamedTuple):
     @property
     def contradicts(self) -> bool:
         """Whether no calibration can be right for the views before the change and after it."""
-        return self.score > MAX_CLOSURE_SCORE and self.explains_most
+        return contradicts_calibration(self.changes[0].score, self.score)
 
     @property
     def explains_most(self) -> bool:
         """Whether robot and camera agree far better with the change."""
-        return self.changes[0].score < MAX_CORRECTED_SCORE_RATIO * self.score
+        return explains_most(self.changes[0].score, self.score)
 
     def sentence(self, mount: str, view_ids: Sequence[str]) -> str:
         """Return in words what changed, from which view on, and what to do.
@@ -149,7 +149,7 @@ def _causes(change: Change, mount: str) -> str:
     if change.kind == "zoom":
         return f"the lens had zoomed by {100.0 * (change.zoom - 1.0):+.1f} %"
     if change.turn is not None:
-        return f"the pictures had been {change.turn.text}, before it or after it"
+        return f"{change.turn.clause}, before it or after it"
     return moved_text(change.kind, mount, (change.translation, change.rotation))
 
 

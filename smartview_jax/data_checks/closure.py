@@ -60,6 +60,21 @@ class ClosureError(NamedTuple):
     score: float
 
 
+def explains_most(score: float, given_score: float) -> bool:
+    """Return whether robot and camera agree far better with a mistake or a change than without."""
+    return score < MAX_CORRECTED_SCORE_RATIO * given_score
+
+
+def contradicts_calibration(score: float, given_score: float) -> bool:
+    """Return whether no calibration can be right without what explains most of a large error.
+
+    Args:
+        score: closure score with the change that explains the error.
+        given_score: without it.
+    """
+    return given_score > MAX_CLOSURE_SCORE and explains_most(score, given_score)
+
+
 class RelativeMotions(NamedTuple):
     """The motions between pairs of views, expressed with the best hand-eye rotation R.
 

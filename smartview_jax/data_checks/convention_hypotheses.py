@@ -18,6 +18,7 @@ from .closure import (
     ClosureError,
     RelativeMotions,
     closure_errors,
+    explains_most,
     relative_motions,
 )
 from .given_poses import GivenPoses, Mistake, Poses, numbered_alike
@@ -172,10 +173,7 @@ def is_explained(given_error: ClosureError, hypotheses: tuple[ConventionHypothes
     if not hypotheses:
         return False
     error = hypotheses[0].closure_error
-    return bool(
-        error.rotation < ANGLE_TOLERANCE
-        and error.score < MAX_CORRECTED_SCORE_RATIO * given_error.score
-    )
+    return bool(error.rotation < ANGLE_TOLERANCE and explains_most(error.score, given_error.score))
 
 
 def removes_most(error: ClosureError, given_error: ClosureError) -> bool:
@@ -185,7 +183,4 @@ def removes_most(error: ClosureError, given_error: ClosureError) -> bool:
     """
     # A mistake that leaves the rotations as wrong as before is not the one that was made.
     rotation_limit = max(ANGLE_TOLERANCE, MAX_CORRECTED_SCORE_RATIO * given_error.rotation)
-    return (
-        error.rotation < rotation_limit
-        and error.score < MAX_CORRECTED_SCORE_RATIO * given_error.score
-    )
+    return error.rotation < rotation_limit and explains_most(error.score, given_error.score)

@@ -28,6 +28,7 @@ from .closure import (
     LengthRatio,
     RelativeMotions,
     closure_error,
+    explains_most,
     length_ratio,
 )
 from .convention_hypotheses import (
@@ -384,8 +385,5 @@ def _is_better_scale(motions: RelativeMotions, given_error: ClosureError, ratio:
     return (
         0.2 < ratio < 5.0
         or given_error.score > MAX_CLOSURE_SCORE
-        or (
-            ratio > 0.0
-            and closure_error(motions, ratio).score < MAX_CORRECTED_SCORE_RATIO * given_error.score
-        )
+        or (ratio > 0.0 and explains_most(closure_error(motions, ratio).score, given_error.score))
     )

@@ -15,9 +15,16 @@ from ..geometry import (
     host_rotation_vectors,
     mean_matrix,
 )
-from .closure import Poses, closure_errors, relative_motions, spread_views
+from .closure import (
+    Poses,
+    RelativeMotions,
+    closure_error,
+    closure_errors,
+    relative_motions,
+    spread_views,
+)
 from .largest_group import disagreements, largest_group
-from .transform_fit import fit_transforms, median_distance
+from .transform_fit import TransformFit, fit_transforms, median_distance
 
 SHUFFLES = 199
 """Number of random orders: the given one is better than all of them by chance once in 200."""
@@ -47,16 +54,19 @@ def are_paired(mount_from_holder: Poses, camera_from_world: Poses) -> bool:
     """
     compared = spread_views(len(mount_from_holder))
     robot, camera = mount_from_holder[compared], camera_from_world[compared]
+    motions = relative_motions(robot, camera)
+    if not _differ_like_noise(robot, camera, motions):
+        return False
+    fit = fit_transforms(robot, camera)
     return (
-        _differ_like_noise(robot, camera)
-        and _fit_their_own_pose(robot, camera)
-        and not _follow_the_pose(robot, camera)
+        _fit_their_own_pose(robot, camera, fit)
+        and not _follow_the_pose(robot, fit)
         and not _some_agree_exactly(robot, camera)
-        and _agree_better_than_in_any_order(robot, camera)
+        and _agree_better_than_in_any_order(robot, camera, motions)
     )
 
 
-def _differ_like_noise(robot: Poses, camera: Poses) -> bool:
+def _differ_like_noise(robot: Poses, camera: Poses, given: RelativeMotions) -> bool:
     """Return whether small motions differ as much as large ones.
 
     Errors of a convention are in proportion to the motion, so that their ratio to it varies less
@@ -64,31 +74,31 @@ def _differ_like_noise(robot: Poses, camera: Poses) -> bool:
     """
     pairs = np.triu_indices(len(robot), 1)
     motions = [host_pairwise_rotation_angles(poses, poses)[pairs] for poses in (robot, camera)]
-    error = relative_motions(robot, camera).rotation_error
-    *turned, left_over = (np.log(np.maximum(angle, MIN_ANGLE)) for angle in (*motions, error))
+    *turned, left_over = (
+        np.log(np.maximum(angle, MIN_ANGLE)) for angle in (*motions, given.rotation_error)
+    )
     # The noise of one of them makes its own motion larger, too.
     return bool(left_over.var() < max((left_over - angle).var() for angle in turned))
 
 
-def _fit_their_own_pose(robot: Poses, camera: Poses) -> bool:
+def _fit_their_own_pose(robot: Poses, camera: Poses, fit: TransformFit) -> bool:
     """Return whether every view fits its own robot pose better than most poses of other views.
 
     A wrong pose does so as often as not, whatever the transforms are.
     """
-    fit = fit_transforms(robot, camera)
     expected = fit.camera_from_mount @ robot @ fit.holder_from_world
     closures = camera[:, None] @ np.linalg.inv(expected)
     misfit = disagreements(closures, median_distance(camera))
     return bool((np.diagonal(misfit) <= np.median(misfit, axis=1)).all())
 
 
-def _follow_the_pose(robot: Poses, camera: Poses) -> bool:
+def _follow_the_pose(robot: Poses, fit: TransformFit) -> bool:
     """Return whether the views' rotation errors are linear in the robot's rotation, by an F test.
 
     Noise does not depend on the pose. Where one component of each rotation has a wrong scale, the
     errors are noise in all other respects.
     """
-    errors = host_logarithms(fit_transforms(robot, camera).closure)[:, 3:]
+    errors = host_logarithms(fit.closure)[:, 3:]
     middle = mean_matrix(robot, np.ones(len(robot)))
     columns = np.ones((len(robot), 4))
     columns[:, 1:] = host_rotation_vectors(robot @ np.linalg.inv(middle))
@@ -106,17 +116,17 @@ def _some_agree_exactly(robot: Poses, camera: Poses) -> bool:
     return exact.sum() >= max(MIN_EXACT, MIN_EXACT_SHARE * len(robot))
 
 
-def _agree_better_than_in_any_order(robot: Poses, camera: Poses) -> bool:
+def _agree_better_than_in_any_order(robot: Poses, camera: Poses, given: RelativeMotions) -> bool:
     """Return whether the closure error is smaller than in `SHUFFLES` random orders of the robot.
 
     This permutation test needs no assumption on the errors.
     """
     rng = np.random.default_rng(0)
-    given = closure_errors(relative_motions(robot, camera))[2]
+    least = closure_error(given).score
     orders = np.stack([rng.permutation(len(robot)) for _ in range(SHUFFLES)])
     for part in np.array_split(orders, range(ORDERS_AT_ONCE, SHUFFLES, ORDERS_AT_ONCE)):
         shuffled = robot[part]
         motions = relative_motions(shuffled, np.broadcast_to(camera, shuffled.shape))
-        if not given < closure_errors(motions)[:, 2].min():
+        if not least < closure_errors(motions)[:, 2].min():
             return False
     return True

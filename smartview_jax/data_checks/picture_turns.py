@@ -37,6 +37,11 @@ class PictureTurn(NamedTuple):
         return f"turned by {90 * self.quarter_turns} degrees"
 
     @property
+    def clause(self) -> str:
+        """The change of several pictures, as a clause."""
+        return f"the pictures had been {self.text}"
+
+    @property
     def remedy(self) -> str:
         """The remedy for one picture."""
         return "mirror it back" if self.is_mirrored else "turn it back"

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 
 from ..cameras import Camera
 from ..geometry import as_se3, host_matrices
-from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
+from .closure import Poses, contradicts_calibration
 from .convention_hypotheses import listed_views
 from .largest_group import disagreements
 from .misfit_evidence import VERY_STRONG_EVIDENCE, errors_of, evidence
@@ -118,8 +118,7 @@ class ResizedPictures(NamedTuple):
     @property
     def contradicts(self) -> bool:
         """Whether no calibration can be right for all of the views."""
-        explains_most = self.score < MAX_CORRECTED_SCORE_RATIO * self.given_score
-        return self.given_score > MAX_CLOSURE_SCORE and explains_most
+        return contradicts_calibration(self.score, self.given_score)
 
     def sentence(self, view_ids: Sequence[str]) -> str:
         """Return in words which pictures differ, how, and what to do.

@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float
 from ..calibration import mount_frames
 from ..dataset import evenly_spaced
 from ..geometry import host_adjoints, host_logarithms
-from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, MAX_VIEWS, Poses
+from .closure import MAX_VIEWS, Poses, contradicts_calibration
 from .misfit_evidence import VERY_STRONG_EVIDENCE
 from .smooth_errors import LinearFit, ViewErrors, pose_kernels
 from .transform_fit import fit_transforms, mean_size, median_distance, misfit_text, motions_of_views
@@ -68,10 +68,7 @@ class SetUpDrift(NamedTuple):
     @property
     def contradicts(self) -> bool:
         """Whether no calibration can be right for the first views and for the last."""
-        return (
-            self.given_score > MAX_CLOSURE_SCORE
-            and self.score < MAX_CORRECTED_SCORE_RATIO * self.given_score
-        )
+        return contradicts_calibration(self.score, self.given_score)
 
     def sentence(self, mount: str, view_ids: Sequence[str]) -> str:
         """Return in words what drifts, by how much, and what to do.

@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 
 from ..geometry import host_matrices
 from .changes import ChangeOptions
-from .closure import MAX_CORRECTED_SCORE_RATIO, Poses
+from .closure import Poses, explains_most
 from .misfit_evidence import errors_of, evidence
 from .transform_fit import fit_transforms, mean_misfit, median_distance
 
@@ -107,7 +107,7 @@ def find_shifted_numbering(
         is_likely
         and is_resolved.all()
         and 0 < 2 * shifted.sum() < len(views)
-        and mean_misfit(corrected, distance)[1] < MAX_CORRECTED_SCORE_RATIO * score
+        and explains_most(mean_misfit(corrected, distance)[1], score)
     ):
         return {int(views[k]): chosen[k] for k in np.flatnonzero(shifted)}
     return {}

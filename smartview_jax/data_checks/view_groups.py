@@ -106,7 +106,7 @@ class ViewGroups(NamedTuple):
         differences = [
             f"{named(group)}, as if "
             + (
-                f"the pictures had been {group.turn.text}"
+                group.turn.clause
                 if group.turn is not None
                 else moved_text(self.kind, mount, (group.translation, group.rotation))
             )

@@ -35,3 +35,13 @@ def moving_alike(seed=0, knock=UNCHANGED, push=UNCHANGED, noise=(2e-4, 0.02), vi
         robot[view] = transform(rng.normal(0.0, 20.0, 3), rng.normal(0.0, 0.1, 3))
         error[view] = transform(rng.normal(0.0, noise[1], 3), rng.normal(0.0, noise[0], 3))
     return robot, CAMERA_FROM_MOUNT @ knock @ error @ robot @ push @ HOLDER_FROM_WORLD
+
+
+def mirrored(camera, axis=0):
+    """The camera's poses, `(..., 4, 4)`, with pictures mirrored left to right (0) or upside down.
+
+    A mirrored view of a flat target is a view of it from behind.
+    """
+    mirror, behind = np.ones(4), np.array([1.0, 1.0, -1.0, 1.0])
+    mirror[axis] = -1.0
+    return np.diag(mirror) @ camera @ np.diag(behind)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from host_poses import opencv_poses
 from jaxlie import SE3, SO3
-from robot_motions import CAMERA_FROM_MOUNT, HOLDER_FROM_WORLD, transform
+from robot_motions import CAMERA_FROM_MOUNT, HOLDER_FROM_WORLD, mirrored, transform
 from scipy.spatial.transform import Rotation
 from shared_data import shared_pairs
 
@@ -449,9 +449,7 @@ def test_the_views_without_which_all_agree_are_named(poses, views, exchanged):
 def test_mirrored_pictures_are_left_out_where_they_are_few_and_else_named(poses, count):
     robot, seen = poses
     camera = np.array(seen.as_matrix())
-    camera[:count] = (
-        np.diag([-1.0, 1.0, 1.0, 1.0]) @ camera[:count] @ np.diag([1.0, 1.0, -1.0, 1.0])
-    )
+    camera[:count] = mirrored(camera[:count])
     report = check_conventions(robot, as_se3(camera), "eye_in_hand")
     assert [view for view, _ in report.suspicious_views] == list(range(count))
     assert len(report.problems) == (count > 1)

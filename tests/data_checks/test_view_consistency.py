@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from host_poses import opencv_poses
 from jaxlie import SE3
+from robot_motions import mirrored
 from shared_data import shared_pairs
 
 from smartview_jax import Dataset
@@ -58,7 +59,7 @@ def test_a_view_whose_picture_was_turned_or_mirrored_is_named_as_such(poses):
     robot, seen = poses
     changed = host_matrices(seen).copy()
     changed[3] = np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]) @ changed[3]
-    changed[8] = np.diag([1.0, -1.0, 1.0, 1.0]) @ changed[8] @ np.diag([1.0, 1.0, -1.0, 1.0])
+    changed[8] = mirrored(changed[8], axis=1)
     _, words, _ = find_consistent_views(robot, as_se3(changed), jnp.ones(VIEWS))
     assert words[3].endswith("its picture seems to be turned by 90 degrees: turn it back")
     assert words[8].endswith("top and bottom, swapped): mirror it back")

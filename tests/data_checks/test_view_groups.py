@@ -7,7 +7,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from robot_motions import CAMERA_FROM_MOUNT, UNCHANGED, VIEWS, moving_alike, transform
+from robot_motions import CAMERA_FROM_MOUNT, UNCHANGED, VIEWS, mirrored, moving_alike, transform
 
 from smartview_jax.data_checks import find_groups
 from smartview_jax.data_checks.picture_turns import PictureTurn
@@ -72,7 +72,7 @@ def test_turned_pictures_are_named_as_such(turns):
 def test_mirrored_pictures_are_named_as_such():
     robot, camera = mixed()
     seen = host_matrices(camera).copy()
-    seen[SECOND] = np.diag([-1.0, 1.0, 1.0, 1.0]) @ seen[SECOND] @ np.diag([1.0, 1.0, -1.0, 1.0])
+    seen[SECOND] = mirrored(seen[SECOND])
     sentence = find_groups(robot, as_se3(seen), EVERY_VIEW).sentence("eye_in_hand", IDS)
     assert "views v1, v4, v7, v10, v13, as if the pictures had been mirrored" in sentence
     assert sentence.endswith("Mirror them back")
