@@ -1,7 +1,7 @@
 """Calibrate the cameras that watched one robot together, for `smartview calibrate`."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -177,7 +177,7 @@ def fitted_rig(
                 settings.lens,
                 camera=_of_cameras(part, known),
                 start=_of_cameras(part, start),
-                priors=_of_own_cameras(part, aspects),
+                priors=_of_cameras(part, aspects) or None,
             ),
             progress=lambda text: progress(f"held-out: {text}"),
         )
@@ -194,17 +194,11 @@ def fitted_rig(
 
 
 def _of_cameras(rig: "sv.Rig", known: dict[str, _Known] | None) -> dict[str, _Known] | None:
-    """Return what is known of the cameras that a rig has."""
-    return known and {name: camera for name, camera in known.items() if name in rig.cameras}
-
-
-def _of_own_cameras(
-    rig: "sv.Rig", priors: "Mapping[str, sv.Prior]"
-) -> "dict[str, sv.Prior] | None":
-    """Return the priors on parameters of the cameras that a rig has; None without any."""
-    return {
-        path: prior for path, prior in priors.items() if path.split(".")[0] in rig.cameras
-    } or None
+    """Return what is known of the cameras that a rig has, by name or by path of a pixel aspect."""
+    aspect = f".{sv.engine.PIXEL_ASPECT}"
+    return known and {
+        path: value for path, value in known.items() if path.removesuffix(aspect) in rig.cameras
+    }
 
 
 def _refuse_other_options(settings: CalibrateSettings) -> None:

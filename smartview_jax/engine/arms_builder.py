@@ -8,6 +8,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool, Float, Int
 
+from ..argument_checks import is_selected
 from ..calibration import Calibration
 from ..dataset import Rig, arms_of, is_pair
 from ..geometry import host_matrices, host_transforms
@@ -92,7 +93,7 @@ def choices_of_arms(
         if is_aspect(path):
             alpha_v = alpha_v_of(path)
             return [aspect_of(alone) for alone, name in names[arm].items() if name == alpha_v]
-        return [alone for alone, name in names[arm].items() if f"{name}.".startswith(f"{path}.")]
+        return [alone for alone, name in names[arm].items() if is_selected(name, (path,))]
 
     return {
         arm: ParameterChoice(

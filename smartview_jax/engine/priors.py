@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, TypedDict
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..argument_checks import require_instance, require_names
+from ..argument_checks import is_selected, require_instance, require_names
 from .parameters import Step, host_step, parameter_mask
 from .pixel_aspect import alpha_u_of, alpha_v_of, is_aspect
 
@@ -133,7 +133,7 @@ class ParameterChoice(NamedTuple):
             others = [other for other in self.priors if other != path]
             if mean is not None and not mean > 0.0:
                 raise ValueError(f"prior on {path!r}: a ratio is positive; found a mean of {mean}")
-            if any(f"{alpha_v}.".startswith(f"{other}.") for other in others):
+            if is_selected(alpha_v, others):
                 raise ValueError(
                     f"prior on {path!r}: give one either on the ratio of the focal lengths or on "
                     f"{alpha_v!r}, and not on both"

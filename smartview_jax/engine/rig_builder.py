@@ -69,8 +69,7 @@ class BuiltRig(AbstractBuiltProblem):
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """The names of all shared parameters, free or not."""
-        of_cameras = self.camera_names.values()
-        return tuple(dict.fromkeys(name for of_camera in of_cameras for name in of_camera))
+        return _shared_names(self.camera_names)
 
     def without_view(self, camera: str, view: int) -> RigProblem:
         """Return the problem without the points that one camera saw in one view."""
@@ -82,6 +81,11 @@ class BuiltRig(AbstractBuiltProblem):
             self.problem,
             seen.at[row, view].set(False),
         )
+
+
+def _shared_names(camera_names: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """Return the names of the parameters of all cameras, each once."""
+    return tuple(dict.fromkeys(name for names in camera_names.values() for name in names))
 
 
 def build_rig(
@@ -119,7 +123,7 @@ def build_rig(
     starts = _checked_starts(rig, starts, field)
     rig = _with_bases_of(rig, starts)
     camera_names = rig_parameter_names(rig, starts)
-    names = tuple(dict.fromkeys(name for of_camera in camera_names.values() for name in of_camera))
+    names = _shared_names(camera_names)
     error = next(iter(starts.values())).robot_error
     prepared = prepare_poses(error, rig.command)
     place = {name: k for k, name in enumerate(names)}
