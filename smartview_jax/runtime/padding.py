@@ -120,8 +120,12 @@ def in_batches(program: Callable[[Any], Any], rows: Any, size: int, threads: int
 
     # One batch at least, which tells the shapes of the results.
     first, *others = range(0, max(count, 1), size)
-    with ThreadPoolExecutor(threads) as pool:
-        results = [of_batch(first), *pool.map(of_batch, others)]
+    results = [of_batch(first)]
+    if others and threads > 1:
+        with ThreadPoolExecutor(threads) as pool:
+            results += pool.map(of_batch, others)
+    else:
+        results += map(of_batch, others)
     return jax.tree.map(lambda *parts: np.concatenate(parts), *results)
 
 

@@ -1,6 +1,7 @@
 """Small data sets are padded to few sizes: they share programs, and the answers stay the same."""
 
 import dataclasses
+import threading
 import time
 
 import jax
@@ -155,3 +156,15 @@ def test_batches_that_run_side_by_side_keep_their_order():
     np.testing.assert_array_equal(in_batches(program, rows, 2, threads=3), rows)
     assert done[0] == 0
     assert done[-1] == 2
+
+
+def test_one_thread_is_the_caller_s():
+    """JAX's settings of a thread, such as the default device, hold for every batch."""
+    threads = set()
+
+    def program(batch):
+        threads.add(threading.get_ident())
+        return batch
+
+    in_batches(program, np.arange(8.0), 2)
+    assert threads == {threading.get_ident()}
