@@ -23,11 +23,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import smartview_jax as sv
+from smartview_jax.engine import step_names
 from smartview_jax.geometry import host_matrices
 from smartview_jax.joint import JointFit
 from smartview_jax.robot_errors import RobotPrior
 
-from .transform_errors import transform_errors
+from .transform_errors import squared_errors, stated_covariance, transform_errors
 
 SEEDS, VIEWS = 10, (10, 20, 40)
 
@@ -163,11 +164,9 @@ def _judged(
     fit: JointFit | sv.RigFit, calibration: sv.Calibration, path: str, truth: np.ndarray
 ) -> _Judged:
     """Return the error of a mount, which of its intervals hold the truth, and the NEES."""
-    names = [name for name in fit.parameter_names if name.startswith(f"{path}.")]
-    rows = [fit.parameter_names.index(name) for name in names]
     error = transform_errors(truth, host_matrices(calibration.camera_from_mount))
-    widths = np.array([fit.confidence_half_width(name) for name in names])
-    nees = error @ np.linalg.solve(fit.covariance[np.ix_(rows, rows)], error)
+    widths = np.array([fit.confidence_half_width(name) for name in step_names(path)])
+    nees = squared_errors(error, stated_covariance(fit, path))
     return error, np.abs(error) <= widths, float(nees)
 
 

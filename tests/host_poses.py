@@ -3,9 +3,8 @@
 import cv2
 import numpy as np
 from jaxlie import SE3
-from scipy.spatial.transform import Rotation
 
-from smartview_jax.engine import step_names
+from benchmarks.transform_errors import transform_errors as errors_of_matrices
 from smartview_jax.geometry import as_se3, host_logarithms, host_matrices, host_transforms
 
 
@@ -17,15 +16,8 @@ def motion_between(first, second) -> np.ndarray:
 
 def transform_errors(found, truth) -> np.ndarray:
     """Differences of translations, and of rotations after them as vectors, `(*views, 6)`."""
-    a, b = (host_matrices(as_se3(poses)) for poses in (found, truth))
-    turn = Rotation.from_matrix(a[..., :3, :3] @ b[..., :3, :3].swapaxes(-1, -2))
-    return np.concatenate([a[..., :3, 3] - b[..., :3, 3], turn.as_rotvec()], axis=-1)
-
-
-def stated_covariance(fit, path) -> np.ndarray:
-    """The covariance of translation and rotation that a fit states for a transform."""
-    rows = [fit.parameter_names.index(name) for name in step_names(path)]
-    return np.asarray(fit.covariance)[np.ix_(rows, rows)]
+    found, truth = (host_matrices(as_se3(poses)) for poses in (found, truth))
+    return errors_of_matrices(found, truth)
 
 
 def opencv_poses(data, K: np.ndarray, distortion=None) -> SE3:

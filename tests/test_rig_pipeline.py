@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 from fit_scenes import POINTS, scene_of, scene_with
-from host_poses import stated_covariance, transform_errors
+from host_poses import transform_errors
 from scipy.stats import chi2
 
+from benchmarks.transform_errors import stated_covariance
 from smartview_jax import Noise, Prior, Rig, calibrate, fit_staged
 from smartview_jax.engine import step_names
 from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms

@@ -1,8 +1,9 @@
 """Pairs of a robot pose and a tracked pose, simulated with noise of both."""
 
 import numpy as np
-from host_poses import stated_covariance, transform_errors
+from host_poses import transform_errors
 
+from benchmarks.transform_errors import stated_covariance
 from smartview_jax.dataset import PoseDataset
 from smartview_jax.geometry import host_exponentials
 

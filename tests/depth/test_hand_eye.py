@@ -6,11 +6,12 @@ import re
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from host_poses import stated_covariance, transform_errors
+from host_poses import transform_errors
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import smartview_jax as sv
+from benchmarks.transform_errors import stated_covariance
 from smartview_jax.dataset import DepthSensor, PoseDataset
 from smartview_jax.evaluation import mean_nees, nees
 from smartview_jax.geometry import host_exponentials, host_matrices, host_transformed

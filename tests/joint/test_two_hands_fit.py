@@ -4,13 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from host_poses import stated_covariance, transform_errors
+from host_poses import transform_errors
 from numpy_camera import project_radial
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 from two_hands_scene import BOARD, NOISE, TRANSFORMS, stepped, two_hands
 
 import smartview_jax as sv
+from benchmarks.transform_errors import stated_covariance
 from smartview_jax.engine import STEP_NAMES, Parameters, host_retract
 from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms
 from smartview_jax.modeling.view_poses import SeenViews
