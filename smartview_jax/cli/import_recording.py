@@ -21,14 +21,15 @@ class SourceOptions:
         str | None,
         typer.Option(
             help="Topic of the pictures, such as /camera/color/image_raw (LeRobot: their feature, "
-            "such as observation.images.wrist); by default the only one."
+            "such as observation.images.wrist); by default the only one. Of several cameras, with "
+            "a name for each: left=/left/image_raw,right=/right/image_raw."
         ),
     ] = None
     camera_info: Annotated[
         str | None,
         typer.Option(
             help="Topic of the known camera, such as /camera/color/camera_info; by default the one "
-            "next to the pictures."
+            "next to the pictures. Of several cameras: left=/left/info,right=/right/info."
         ),
     ] = None
     base: Annotated[
@@ -96,6 +97,8 @@ class SourceOptions:
         arm, names = self.arm_and_names()
         named = {key: value for key, value in vars(self).items() if key != "camera_frame"}
         named |= {"arm": arm, "joint_names": names, "camera": self.camera_frame}
+        named |= {"image": _topics("--image", self.image)}
+        named |= {"camera_info": _topics("--camera-info", self.camera_info)}
         return sv.BagSources(**named)
 
     def arm_and_names(self) -> "tuple[sv.robots.SerialArm | None, tuple[str, ...]]":
@@ -147,6 +150,10 @@ class LeRobotOptions:
         given = {f"--{name.replace('_', '-')}": getattr(source, name) for name in _OF_BAGS}
         if wrong := [name for name, value in given.items() if value]:
             raise ValueError(f"{wrong[0]}: not for a data set of LeRobot")
+        if isinstance(_topics("--image", source.image), dict):
+            raise ValueError(
+                "--image: expected one feature; several cameras are imported from bags of ROS only"
+            )
         arm, _ = source.arm_and_names()
         numbers = self.episodes.split(",") if self.episodes is not None else []
         if not all(number.strip().isdigit() for number in numbers):
@@ -160,6 +167,20 @@ class LeRobotOptions:
             pose_format=self.pose_format,
             episodes=tuple(map(int, numbers)),
         )
+
+
+def _topics(option: str, text: str | None) -> str | dict[str, str] | None:
+    """Return one topic, or the topics of several cameras by their names, as in left=/a,right=/b."""
+    if text is None or "=" not in text:
+        return text
+    parts = [part.partition("=") for part in text.split(",")]
+    topics = {name.strip(): topic.strip() for name, _, topic in parts}
+    if len(topics) < len(parts) or not all(topics.values()):
+        raise ValueError(
+            f"{option}: expected a topic for each of the cameras, with different names, such as "
+            f"left=/left/image_raw,right=/right/image_raw; found {text!r}"
+        )
+    return topics
 
 
 _OF_BAGS = ("camera_info", "joint_names", "tag", "tag_id", "camera_frame", "received")
@@ -248,6 +269,9 @@ def import_(
     smartview import run.mcap my_folder --base base_link --tool tool0 --target charuco
 
     smartview import so101_data my_folder --arm so101.urdf --angle-unit deg --target charuco
+
+    smartview import run.mcap my_folder --base base_link --tool tool0 --target charuco --image
+    left=/left/image_raw,right=/right/image_raw
 
     One picture of every stop of the robot is taken, because there the clocks of camera and robot
     do not matter. Needs pip install 'smartview-jax[ros]', but no installation of ROS; or

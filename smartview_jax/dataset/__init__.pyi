@@ -28,6 +28,7 @@ from .pose_observations import PoseObservations as PoseObservations
 from .rig import ONE_TARGET as ONE_TARGET
 from .rig import Rig as Rig
 from .rig_arms import ONE_ARM as ONE_ARM
+from .rig_arms import RIG_NAME as RIG_NAME
 from .rig_arms import arms_of as arms_of
 from .rig_arms import is_pair as is_pair
 from .rig_arms import reported_poses as reported_poses

@@ -15,7 +15,7 @@ from ..runtime.array_namespace import to_device
 from .dataset import Dataset
 from .pose_dataset import PoseDataset
 from .rig_arms import (
-    NAME,
+    RIG_NAME,
     arms_of,
     checked_arms,
     is_pair,
@@ -117,7 +117,7 @@ class Rig:
             require_instance(f"Rig: camera {name!r}", data, Dataset)
             if isinstance(data, PoseDataset):
                 raise TypeError(f"Rig: camera {name!r}: tracked poses have no pixels")
-            if not NAME.fullmatch(name):
+            if not RIG_NAME.fullmatch(name):
                 raise ValueError(
                     f"Rig: a camera's name has letters, digits, '_' and '-'; found {name!r}"
                 )
@@ -321,7 +321,7 @@ def _checked_targets(
     for name, target in targets.items():
         # Cameras next to an arm and cameras on another hand may see the same target on its hand.
         mount, hand = _TARGET_MOUNT[cameras[name].mount], arms_of(arms[name])[-1]
-        if not NAME.fullmatch(target) or target in names:
+        if not RIG_NAME.fullmatch(target) or target in names:
             raise ValueError(
                 f"Rig: a target's name has letters, digits, '_' and '-', and is no camera's name "
                 f"and no arm's; found {target!r}"

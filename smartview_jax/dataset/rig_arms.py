@@ -13,7 +13,7 @@ from .dataset import Dataset
 ONE_ARM = "arm"
 """Name of the arm if a rig has only one."""
 
-NAME = re.compile(r"[\w-]+")
+RIG_NAME = re.compile(r"[\w-]+")
 """The names of cameras, targets and arms, which are parts of parameters' names."""
 
 PAIR_MARK = "+"
@@ -82,7 +82,7 @@ def checked_arms(
                 f"found {', '.join(names)}"
             )
         for arm in names:
-            if not NAME.fullmatch(arm) or (several and arm in cameras):
+            if not RIG_NAME.fullmatch(arm) or (several and arm in cameras):
                 raise ValueError(
                     f"Rig: an arm's name has letters, digits, '_' and '-', and is no camera's "
                     f"name; found {arm!r}"

@@ -6,13 +6,14 @@ with their size.
 
 import dataclasses
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int64
 
 from ..argument_checks import errors_at
+from ..dataset import RIG_NAME
 from ..robots import SerialArm
 from .bag import Bag, Message
 from .picture_messages import COMPRESSED, IMAGE
@@ -22,6 +23,9 @@ from .transform_tree import Chain, Samples, TransformTree, stamp_of
 
 TF_KINDS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 CAMERA_INFO, JOINT_STATE = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/JointState"
+
+ONE_CAMERA = ""
+"""Name of the only camera of a recording, which needs none."""
 
 _STATIC_TOPIC = "tf_static"
 
@@ -36,8 +40,10 @@ class BagSources:
     """Topics and frames of a bag, by their meaning.
 
     Attributes:
-        image: topic of the pictures; None for the only one.
+        image: topic of the pictures; None for the only one. Of several cameras: the topic of each,
+            by the camera's name.
         camera_info: topic of the known camera; None for the one next to the pictures, if there is.
+            Of several cameras: the topics of some or all of them, by the camera's name.
         base, tool: frames of tf whose relative pose is the robot's; a bag without tf needs joint
             readings instead.
         robot: topic of the robot's poses, `base_from_tool`, instead of frames of tf.
@@ -59,8 +65,8 @@ class BagSources:
         None False
     """
 
-    image: str | None = None
-    camera_info: str | None = None
+    image: str | Mapping[str, str] | None = None
+    camera_info: str | Mapping[str, str] | None = None
     base: str | None = None
     tool: str | None = None
     robot: str | None = None
@@ -89,27 +95,68 @@ class BagSources:
             raise ValueError("tag: poses of a tag are used instead of pictures: expected no image")
         if self.tag is None and (self.tag_id is not None or self.camera is not None):
             raise ValueError("tag_id and camera: expected with a tag only")
+        self._check_cameras()
+
+    def _check_cameras(self) -> None:
+        """Refuse names and topics of several cameras that cannot be told apart."""
+        images = self.images
+        if wrong := [name for name in images if name and not RIG_NAME.fullmatch(name)]:
+            raise ValueError(
+                f"image: a camera's name has letters, digits, '_' and '-'; found {wrong[0]!r}"
+            )
+        if isinstance(self.image, Mapping) and (not images or ONE_CAMERA in images):
+            raise ValueError("image: expected a name for each camera")
+        if len({topic for topic in images.values() if topic}) < len(images) > 1:
+            raise ValueError("image: expected another topic for each camera")
+        if unknown := [name for name in self.camera_infos if name not in images]:
+            raise ValueError(
+                f"camera_info: expected topics by the names of the cameras "
+                f"({', '.join(images) if isinstance(self.image, Mapping) else 'one topic'}); "
+                f"found {unknown[0] or self.camera_info!r}"
+            )
+
+    @property
+    def images(self) -> dict[str, str | None]:
+        """The topic of each camera's pictures; one camera has the name `ONE_CAMERA`."""
+        return dict(self.image) if isinstance(self.image, Mapping) else {ONE_CAMERA: self.image}
+
+    @property
+    def camera_infos(self) -> dict[str, str]:
+        """The stated topics of known cameras, by the camera's name."""
+        if isinstance(self.camera_info, Mapping):
+            return dict(self.camera_info)
+        return {} if self.camera_info is None else {ONE_CAMERA: self.camera_info}
+
+
+class Measurements(NamedTuple):
+    """The times of a camera's pictures, or the poses that a tracker measured.
+
+    Attributes:
+        topic: of the pictures; None for a tag.
+        stamps: times of the pictures or measurements, ns, increasing.
+        received: when each was recorded, ns.
+        camera_info: a message with the known camera; None if there is none.
+        tracked: `camera_from_world` of the tag at each time; None for pictures.
+    """
+
+    topic: str | None
+    stamps: Int64[np.ndarray, "moments"]
+    received: Int64[np.ndarray, "moments"]
+    camera_info: Any | None = None
+    tracked: Float[np.ndarray, "moments 4 4"] | None = None
 
 
 class BagContent(NamedTuple):
     """Everything that the first pass over a bag finds.
 
     Attributes:
-        moments: times of the pictures, or of the measurements of the tag, ns, increasing.
-        received: when each was recorded, ns.
+        cameras: the pictures of each camera by its name, or the poses of the tag.
         robot: the robot's motion.
-        tracked: `camera_from_world` of the tag at each moment; None for pictures.
-        camera: a message with the known camera; None if there is none.
-        image: topic of the pictures; None for a tag.
         notes: sentences on what was used.
     """
 
-    moments: Int64[np.ndarray, "moments"]
-    received: Int64[np.ndarray, "moments"]
+    cameras: dict[str, Measurements]
     robot: RobotLog
-    tracked: Float[np.ndarray, "moments 4 4"] | None
-    camera: Any | None
-    image: str | None
     notes: tuple[str, ...]
 
 
@@ -142,13 +189,17 @@ class _ContentReader:
     def __init__(self, bag: Bag, sources: BagSources):
         self._bag, self._sources = bag, sources
         self._tree, self._robot_tree = TransformTree(), TransformTree()
-        self._moments, self._received = array("q"), array("q")
+        # By the topic of the pictures: stamps, and when they were recorded.
+        self._stamps: dict[str, tuple[array[int], array[int]]] = {}
         self._tag_poses = TransformTree()
         self._tag_ids: set[int | None] = set()
         self._tag_frames: set[str] = set()
-        self._camera: Any | None = None
         self._lags: dict[str, array[int]] = {}
-        self._image = self._info = self._tag = None
+        # By the camera's name: topics, and the message with the known camera.
+        self._images: dict[str, str] = {}
+        self._infos: dict[str, str] = {}
+        self._known: dict[str, Any] = {}
+        self._tag: str | None = None
         self._robot = self._joints = None
         self._joint_record: JointRecord | None = None
 
@@ -156,8 +207,11 @@ class _ContentReader:
         """Return the topics to be read; a ValueError names one that is missing."""
         bag, sources = self._bag, self._sources
         if sources.tag is None:
-            self._image = self._image_topic()
-            self._info = self._camera_topic(self._image)
+            for name, topic in sources.images.items():
+                self._images[name] = self._image_topic(topic)
+                info = self._camera_topic(name, self._images[name])
+                self._infos |= {} if info is None else {name: info}
+            self._stamps = {topic: (array("q"), array("q")) for topic in self._images.values()}
         elif sources.tag in bag.kinds or f"/{sources.tag}" in bag.kinds:
             self._tag = bag.required(sources.tag, set(bag.kinds.values()), "tag")
             if bag.kinds[self._tag] in TF_KINDS:
@@ -168,7 +222,7 @@ class _ContentReader:
             assert sources.arm is not None
             self._joints = bag.required(sources.joints, (JOINT_STATE,), "joints")
             self._joint_record = JointRecord(self._joint_names(), sources.arm)
-        wanted = {self._image, self._info, self._tag, self._robot, self._joints} - {None}
+        wanted = {self._tag, self._robot, self._joints, *self._stamps, *self._infos.values()}
         if sources.base is not None or self._tag_is_frame:
             tf = bag.topics_of(TF_KINDS)
             if not tf and (self._joints is None or self._tag_is_frame):
@@ -199,25 +253,26 @@ class _ContentReader:
     def _tag_is_frame(self) -> bool:
         return self._sources.tag is not None and self._tag is None
 
-    def _image_topic(self) -> str:
+    def _image_topic(self, stated: str | None) -> str:
         """Return the topic of the pictures; a ValueError lists them if it is not clear which."""
         bag = self._bag
         kinds = (IMAGE, COMPRESSED)
-        if self._sources.image is not None:
-            return bag.required(self._sources.image, kinds, "image")
+        if stated is not None:
+            return bag.required(stated, kinds, "image")
         topics = bag.topics_of(kinds)
         if len(topics) != 1:
             listed = ", ".join(topics) if topics else f"none; the bag has {bag.listed_topics()}"
             raise ValueError(
-                f"{bag.path}: image: expected the name of a topic of pictures; there are {listed}"
+                f"{bag.path}: image: expected the name of a topic of pictures, or of one for each "
+                f"of several cameras; there are {listed}"
             )
         return topics[0]
 
-    def _camera_topic(self, image: str) -> str | None:
-        """Return the topic of the known camera, by default the one next to the pictures."""
-        bag, stated = self._bag, self._sources.camera_info
-        if stated is not None:
-            return bag.required(stated, (CAMERA_INFO,), "camera_info")
+    def _camera_topic(self, name: str, image: str) -> str | None:
+        """Return the topic of a known camera, by default the one next to its pictures."""
+        bag, stated = self._bag, self._sources.camera_infos
+        if name in stated:
+            return bag.required(stated[name], (CAMERA_INFO,), "camera_info")
         above = image.split("/")[:-1]
         # Compressed pictures are one level further down, at image_raw/compressed.
         candidates = ["/".join([*above[:k], "camera_info"]) for k in (len(above), len(above) - 1)]
@@ -227,10 +282,13 @@ class _ContentReader:
     def add(self, message: Message) -> None:
         """Sort in one message."""
         topic, content = message.topic, message.content
-        if topic == self._image:
-            self._add_moment(message)
-        elif topic == self._info:
-            self._camera = content if self._camera is None else self._camera
+        if topic in self._stamps:
+            stamps, received = self._stamps[topic]
+            stamps.append(self._stamp(message))
+            received.append(message.received)
+        elif topic in self._infos.values():
+            for name in (name for name, info in self._infos.items() if info == topic):
+                self._known.setdefault(name, content)
         elif topic == self._tag:
             self._add_tags(message)
         elif topic == self._robot:
@@ -247,10 +305,6 @@ class _ContentReader:
         stamp = stamp_of(message.content.header)
         self._lags.setdefault(message.topic, array("q")).append(message.received - stamp)
         return message.received if self._sources.received else stamp
-
-    def _add_moment(self, message: Message) -> None:
-        self._moments.append(self._stamp(message))
-        self._received.append(message.received)
 
     def _add_tags(self, message: Message) -> None:
         """Keep the pose of the tag with the wanted id, or of the only tag."""
@@ -278,20 +332,21 @@ class _ContentReader:
         """Return what was found."""
         notes: list[str] = []
         robot = self._finished_robot(notes)
-        if self._image is not None:
-            moments, received = self._finished_moments(notes)
-            tracked = None
+        if self._sources.tag is None:
+            cameras = {
+                name: self._finished_pictures(topic, notes)._replace(
+                    camera_info=self._known.get(name)
+                )
+                for name, topic in self._images.items()
+            }
         else:
-            samples_times, tracked = self._finished_tags(notes)
-            moments = received = samples_times
-        stamps = robot.stamps
-        if not len(stamps):
+            cameras = {ONE_CAMERA: self._finished_tags(notes)}
+        if not len(robot.stamps):
             raise ValueError("the robot's pose is known at no time")
         notes += self._clock_notes()
-        self._refuse_apart(moments, stamps)
-        return BagContent(
-            moments, received, robot, tracked, self._camera, self._image, tuple(notes)
-        )
+        for camera in cameras.values():
+            self._refuse_apart(camera, robot.stamps)
+        return BagContent(cameras, robot, tuple(notes))
 
     def _finished_robot(self, notes: list[str]) -> RobotLog:
         sources = self._sources
@@ -320,33 +375,28 @@ class _ContentReader:
             notes.append("robot: poses by the arm's kinematics")
         return RobotLog(chain, joints)
 
-    def _finished_moments(
-        self, notes: list[str]
-    ) -> tuple[Int64[np.ndarray, "moments"], Int64[np.ndarray, "moments"]]:
+    def _finished_pictures(self, topic: str, notes: list[str]) -> Measurements:
         """Return times of the pictures, and when they were recorded, sorted and without repeats."""
-        stamps = np.frombuffer(self._moments, dtype=np.int64)
-        received = np.frombuffer(self._received, dtype=np.int64)
+        stamps, received = (np.frombuffer(times, np.int64) for times in self._stamps[topic])
         if not len(stamps):
-            raise ValueError(f"topic {self._image} has no pictures")
+            raise ValueError(f"topic {topic} has no pictures")
         if (unstamped := stamps == 0).any():
             raise ValueError(
-                f"topic {self._image}: {int(unstamped.sum())} of {len(stamps)} pictures have no "
+                f"topic {topic}: {int(unstamped.sum())} of {len(stamps)} pictures have no "
                 f"stamp; {_USE_RECEIVED}"
             )
-        notes.append(f"pictures: {len(stamps)} of {self._image}")
+        notes.append(f"pictures: {len(stamps)} of {topic}")
         steps = np.diff(stamps)
         if not self._sources.received and (steps < 0).any():
             notes.append(
-                f"clock: the stamps of {self._image} go back {np.count_nonzero(steps < 0)} times "
+                f"clock: the stamps of {topic} go back {np.count_nonzero(steps < 0)} times "
                 f"from picture to picture, by up to {-steps.min() / 1e9:.3g} s: if they are not "
                 f"the times of exposure, {_USE_RECEIVED}"
             )
         stamps, order = np.unique(stamps, return_index=True)
-        return stamps, received[order]
+        return Measurements(topic, stamps, received[order])
 
-    def _finished_tags(
-        self, notes: list[str]
-    ) -> tuple[Int64[np.ndarray, "moments"], Float[np.ndarray, "moments 4 4"]]:
+    def _finished_tags(self, notes: list[str]) -> Measurements:
         """Return the times and the poses of the tag in the camera's frame."""
         tag, camera = self._sources.tag, self._sources.camera
         assert tag is not None
@@ -360,7 +410,8 @@ class _ContentReader:
             notes.append(f"tag: poses of {self._tag} in the frame {frames}")
             if camera is not None and self._tag_frames != {camera}:
                 raise ValueError(f"topic {self._tag}: its poses are in {frames}, not in {camera}")
-            return samples.stamps, samples.at(samples.stamps)
+            stamps = samples.stamps
+            return Measurements(None, stamps, stamps, tracked=samples.at(stamps))
         try:
             parent = self._tree.parent_of(tag.lstrip("/"))
             chain = self._tree.chain(camera or parent or tag, tag)
@@ -376,7 +427,8 @@ class _ContentReader:
         known = ~np.isnan(poses).any(axis=(1, 2))
         notes.append(f"tag: tf from {chain.words()}")
         notes += self._dropped_notes(chain)
-        return samples.stamps[known], poses[known]
+        stamps = samples.stamps[known]
+        return Measurements(None, stamps, stamps, tracked=poses[known])
 
     def _dropped_notes(self, chain: Chain) -> list[str]:
         """Return sentences on the transforms of a chain that were dropped."""
@@ -403,14 +455,13 @@ class _ContentReader:
         )
         return [f"clock: recorded after their stamps: {listed}"] if lags else []
 
-    def _refuse_apart(
-        self, moments: Int64[np.ndarray, "moments"], stamps: Int64[np.ndarray, "stamps"]
-    ) -> None:
-        """Raise a ValueError if no moment is within the robot's log."""
+    def _refuse_apart(self, camera: Measurements, stamps: Int64[np.ndarray, "stamps"]) -> None:
+        """Raise a ValueError if no picture or measurement is within the robot's log."""
+        moments = camera.stamps
         if moments[0] > stamps[-1] or moments[-1] < stamps[0]:
             begin, end = (moments[[0, -1]] - stamps[0]) / 1e9
             raise ValueError(
-                f"the stamps of {self._image or self._sources.tag} are from {begin:.6g} to "
+                f"the stamps of {camera.topic or self._sources.tag} are from {begin:.6g} to "
                 f"{end:.6g} s after the robot's first pose, its poses from 0 to "
                 f"{(stamps[-1] - stamps[0]) / 1e9:.6g} s: do the computers' clocks differ? Then "
                 f"{_USE_RECEIVED}"

@@ -195,7 +195,8 @@ def _write(
     imported = ImportedFolder(
         folder, view_ids, chosen.left_out, tuple(notes), None, False, target.is_template
     )
-    imported.write_record(recording.path.resolve().name, frames.stamps[chosen.indices])
+    stamps = frames.stamps[chosen.indices].tolist()
+    imported.write_record(recording.path.resolve().name, dict(zip(view_ids, stamps, strict=True)))
     write_description(folder, entries, target)
     return imported
 

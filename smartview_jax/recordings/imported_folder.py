@@ -4,9 +4,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-from jaxtyping import Int
-
 from .. import schemas
 from ..argument_checks import errors_at
 from ..files import dump_yaml, parse_yaml, read_yaml, write_atomically
@@ -40,7 +37,8 @@ class ImportedFolder(NamedTuple):
         view_ids: names of the views.
         left_out: number of pictures that are no views, by reason.
         notes: sentences on what was used and found.
-        camera_file: the file of the known camera; None if the bag has none.
+        camera_file: the file of the known camera, or the folder with those of several; None if
+            the bag has none.
         in_motion: whether the robot's poses are a log, from which each view's is interpolated.
         target_is_template: whether the target's lengths are examples, still to be measured.
     """
@@ -53,18 +51,18 @@ class ImportedFolder(NamedTuple):
     in_motion: bool
     target_is_template: bool
 
-    def write_record(self, recording: str, stamps: Int[np.ndarray, "views"]) -> None:
+    def write_record(self, recording: str, stamps: Mapping[str, Any]) -> None:
         """Write the sources that were used, and the pictures that were left out, to the folder.
 
         Args:
             recording: name of the bag or of the data set.
-            stamps: time of every view, ns.
+            stamps: time of every view, ns, by its name; of several cameras by the camera's name.
         """
         content = {
             "recording": recording,
             "notes": list(self.notes),
             "left_out": self.left_out,
-            "stamps_ns": dict(zip(self.view_ids, stamps.tolist(), strict=True)),
+            "stamps_ns": dict(stamps),
         }
         write_atomically(self.folder / RECORD_FILE, dump_yaml(content))
 
@@ -80,7 +78,8 @@ def write_description(folder: Path, entries: Mapping[str, Any], target: TargetTe
     path = folder / DESCRIPTION_FILE
     *lines, end_mark = dump_yaml(marked_entries(entries)).splitlines(keepends=True)
     text = "".join([*lines, "" if target is None else target.text, end_mark])
-    schemas.refuse_unreadable(parse_yaml(text, path), schemas.DATASET_SCHEMA, path)
+    schema = schemas.RIG_SCHEMA if "cameras" in entries else schemas.DATASET_SCHEMA
+    schemas.refuse_unreadable(parse_yaml(text, path), schema, path)
     write_atomically(path, text)
 
 

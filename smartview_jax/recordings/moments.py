@@ -64,11 +64,13 @@ class Chosen(NamedTuple):
 
     Attributes:
         indices: of the chosen moments, in the order of time.
+        stops: number of the robot's stop in which each is; in motion, its own number.
         left_out: number of the others by reason.
         notes: sentences on what was found.
     """
 
     indices: Int[np.ndarray, "views"]
+    stops: Int[np.ndarray, "views"]
     left_out: dict[str, int]
     notes: tuple[str, ...]
 
@@ -122,7 +124,7 @@ def _every(
         f"because one in {every} is taken": len(counted) - len(indices),
         "in a gap of the robot's poses, too long to interpolate": int(in_gap.sum()),
     }
-    return Chosen(indices[~in_gap], left_out, ())
+    return Chosen(indices[~in_gap], np.flatnonzero(~in_gap), left_out, ())
 
 
 def _one_in_every_stop(
@@ -134,8 +136,8 @@ def _one_in_every_stop(
 ) -> Chosen:
     """Choose the moment next to the middle of every stop."""
     margin = 0.5 * choice.still_for * NANOSECONDS
-    indices, others, empty = [], 0, 0
-    for begin, end in stops(stamps, poses, choice):
+    indices, stops_of, others, empty = [], [], 0, 0
+    for number, (begin, end) in enumerate(stops(stamps, poses, choice)):
         first, last = np.searchsorted(moments, [begin + margin, end - margin])
         # `searchsorted` leaves out a moment that is exactly at the end.
         last += last < len(moments) and moments[last] == end - margin
@@ -143,6 +145,7 @@ def _one_in_every_stop(
             empty += 1
             continue
         middle = 0.5 * (begin + end)
+        stops_of.append(number)
         indices.append(first + int(np.argmin(np.abs(moments[first:last] - middle))))
         others += last - first - 1
     moving = int(known.sum()) - len(indices) - int(others)
@@ -156,7 +159,9 @@ def _one_in_every_stop(
         notes.append(f"{empty} stops of the robot have no picture further than {half} from motion")
     if not indices and not empty:
         notes.append(_least_motion(stamps, poses, choice))
-    return Chosen(np.array(indices, dtype=int), left_out, tuple(notes))
+    return Chosen(
+        np.array(indices, dtype=int), np.array(stops_of, dtype=int), left_out, tuple(notes)
+    )
 
 
 def stops(

@@ -67,13 +67,21 @@ class PictureFile(NamedTuple):
         width, height = self.size
         return f"a {self.suffix} of {width} x {height} px and {self.bits} bits"
 
+    def as_png(self) -> "PictureFile":
+        """Return the file with the same numbers as a PNG."""
+        if self.suffix == ".png":
+            return self
+        pixels = cv2.imdecode(np.frombuffer(self.content, np.uint8), cv2.IMREAD_UNCHANGED)
+        assert pixels is not None  # A damaged file has been refused.
+        return png_of(pixels)
+
     def write(self, folder: Path, view: str, first: "PictureFile | None") -> "PictureFile":
         """Write the file of a view to a data-set folder, and return the first one, which may be it.
 
         Args:
             folder: of the data set.
-            view: name of the view.
-            first: the first picture of the data set; None for the first itself.
+            view: name of the view, after a camera's name and a slash if there are several cameras.
+            first: the first picture of the camera; None for the first itself.
 
         Raises:
             ValueError: the picture differs in size or kind from the first.

@@ -320,7 +320,7 @@ WRITERS = {
     "io/point_depths.py write_depths": "depths",
     "io/viewpoints.py write_viewpoints": "viewpoints in JSON",
     "io/visp.py write_visp_pose": "(one pose)",
-    "recordings/import_bag.py write": "(views are numbered)",
+    "recordings/import_bag.py _write_cameras": "(views are numbered)",
     "recordings/imported_folder.py write_record": "(views are numbered)",
     "recordings/picture_messages.py write": "(views are numbered)",
     "recordings/imported_folder.py write_description": "(views are numbered)",

@@ -99,7 +99,7 @@ def test_a_folder_without_bags_is_named(tmp_path):
 def test_which_of_several_topics_has_to_be_said(tmp_path):
     second = [picture("/right/image", t, numbered_picture(t)) for t in picture_times(POSES)]
     bag = write_bag(tmp_path / "run", "sqlite3", [*recording(POSES), *second])
-    refused(bag, tmp_path, "name of a topic of pictures; there are /camera/image_raw, /right/image")
+    refused(bag, tmp_path, "of several cameras; there are /camera/image_raw, /right/image")
 
 
 def test_a_robot_that_never_stands_is_said_with_how_far_it_moves(tmp_path):
