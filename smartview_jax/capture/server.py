@@ -120,6 +120,7 @@ class CapturePage:
             "rotations_deg": np.rad2deg(covered.rotations).round(1).tolist(),
             "proposal": self._proposal(),
             "robot": self._pose_text(None if look is None else look.pose),
+            "pose_units": self._pose_units(),
             "typed": session.is_typed,
             "may_move": session.options.motion is not None,
             "moving": session.is_moving,
@@ -153,6 +154,11 @@ class CapturePage:
             f"{name}\N{NO-BREAK SPACE}{number:.{digit}f}"
             for name, number, digit in zip(codec.columns, row, digits, strict=True)
         )
+
+    def _pose_units(self) -> str:
+        """Return the units in which poses are shown, such as `mm, deg`."""
+        codec = self._session.folder.pose_format.codec
+        return ", ".join(codec.units if codec.angle_columns else codec.units[:1])
 
     def picture(self) -> bytes | None:
         """Return the live picture as JPEG; None before the first."""

@@ -69,7 +69,10 @@ def capture_unattended(
         if moves and session.is_stopped:
             return _outcome(session, "stopped")
         if session.is_reached:
-            return _outcome(session, _reached_words(session))
+            # The newest views may not be fitted yet: the outcome states the error of all.
+            session.wait_for_fit(FIT_PATIENCE)
+            if session.is_reached:
+                return _outcome(session, _reached_words(session))
         if session.view_count >= max_views:
             session.wait_for_fit(FIT_PATIENCE)
             return _outcome(session, _limit_words(session))

@@ -75,6 +75,7 @@ def test_the_state_has_what_the_page_shows(client, session, rig):
     assert state["target"]["size"] == [640, 480]
     assert sum(map(sum, state["cells"])) > 5
     assert state["proposal"]["text"].startswith("x\N{NO-BREAK SPACE}0.")
+    assert state["pose_units"] == "m"
     assert client.get("/picture").content.startswith(b"\xff\xd8")
     rig.camera_error = "unplugged"
     wait_until(lambda: client.get("/status").json()["troubles"] == ["camera: unplugged"])

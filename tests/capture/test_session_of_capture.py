@@ -170,6 +170,26 @@ def test_an_unattended_run_ends_when_the_goal_is_reached(tmp_path, rig):
     assert 9 <= outcome.views == load_dataset(folder).view_count <= 11
 
 
+def test_the_outcome_is_of_all_views(tmp_path, rig, monkeypatch):
+    """A view may have been taken while the fit was running that reaches the goal."""
+    fit = quick_fit(rig)
+
+    def fit_with_slow_last(data, *arguments):
+        time.sleep(0.3 * (data.view_count == 10))
+        return fit(data, *arguments)
+
+    monkeypatch.setattr("smartview_jax.capture.session.estimate", fit_with_slow_last)
+    with rig.session(new_folder(tmp_path / "data"), goal=1e-3, motion=everywhere()) as session:
+        for rig.at in range(9):
+            session.take()
+        assert session.wait_for_fit(PATIENCE)
+        assert session.is_reached
+        rig.at = 9
+        session.take()
+        outcome = capture_unattended(session)
+    assert (outcome.views, outcome.error) == (10, pytest.approx(0.9e-3))
+
+
 def test_an_unattended_run_says_why_it_ends_without_the_goal(tmp_path, rig):
     folder = new_folder(tmp_path / "data")
     with rig.session(folder, motion=everywhere()) as session:

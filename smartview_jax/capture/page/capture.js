@@ -70,6 +70,7 @@ function show(s) {
     : s.proposal ? `${s.proposal.text}${s.proposal.rough ? "\n(from the drawing: go slowly)" : ""}`
     : "none proposed yet: tilt and turn the camera to all sides");
   text("robot", s.robot || "–");
+  for (const units of document.querySelectorAll(".units")) units.textContent = `(${s.pose_units})`;
   text("lines", s.lines.join("\n"));
   $("typed").hidden = !s.typed;
   $("move").hidden = $("skip").hidden = false;
