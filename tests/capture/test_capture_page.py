@@ -1,11 +1,11 @@
 """The page of a capture: who is let in, what it shows, what it does, and its stop button."""
 
-import threading
 import time
 
 import pytest
 from capture_scene import PATIENCE, everywhere, new_folder, wait_until
 from chromium import Chromium, browser_or_skip
+from served_pages import serve_in_thread
 
 from smartview_jax.capture import serve_capture
 from smartview_jax.capture.server import PAGE, CapturePage, capture_app
@@ -129,14 +129,11 @@ def test_the_page_in_a_browser(tmp_path, rig):
     folder = new_folder(tmp_path / "data")
     try:
         with rig.session(folder, goal=2e-3, motion=everywhere()) as session:
-            addresses, faults = [], []
-            threading.Thread(
-                target=serve_capture, args=(session, 0, addresses.append), daemon=True
-            ).start()
-            wait_until(lambda: addresses)
+            faults = []
+            address = serve_in_thread(serve_capture, session, 0)
             window = chromium.running().new_page(viewport={"width": 390, "height": 844})
             window.on("pageerror", lambda error: faults.append(str(error)))
-            window.goto(addresses[0])
+            window.goto(address)
             for rig.at in range(5):
                 window.wait_for_function("!document.querySelector('#take').disabled")
                 window.click("#take")

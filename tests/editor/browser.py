@@ -4,8 +4,8 @@ import contextlib
 import os
 import subprocess
 import sys
-import threading
-import time
+
+import served_pages
 
 from smartview_jax.editor import serve
 
@@ -14,14 +14,8 @@ PATIENCE = 60_000
 
 
 def serve_in_thread(session, port=0):
-    """The address of a server of this process."""
-    addresses = []
-    threading.Thread(target=serve, args=(session, port, addresses.append), daemon=True).start()
-    deadline = time.monotonic() + 30.0
-    while not addresses:
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-    return addresses[0]
+    """The address of the editor's page, served by this process."""
+    return served_pages.serve_in_thread(serve, session, port)
 
 
 class Page:

@@ -2,15 +2,13 @@
 
 import asyncio
 import json
-import threading
 import urllib.request
 from urllib.parse import urlsplit
 
 import pytest
+from browser import serve_in_thread
 from editor_scene import drawn_scene
 from sessions import open_session
-
-from smartview_jax.editor import serve
 
 websockets = pytest.importorskip("websockets", reason="the editor's server is not installed")
 
@@ -22,15 +20,7 @@ PATIENCE = 60.0
 @pytest.fixture
 def address(tmp_path):
     session = open_session(drawn_scene(), tmp_path / "object.json")
-    known, addresses = threading.Event(), []
-
-    def note(text):
-        addresses.append(text)
-        known.set()
-
-    threading.Thread(target=serve, args=(session, 0, note), daemon=True).start()
-    assert known.wait(PATIENCE)
-    return addresses[0]
+    return serve_in_thread(session)
 
 
 async def renamed(page, name):
