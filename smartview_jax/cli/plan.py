@@ -229,7 +229,7 @@ def next_views(
     progress("computing what the views so far tell")
     with errors_at(paths[0]):
         situation = sv.viewpoints.situation_of_estimate(
-            estimate, np.asarray(data.points[0]), limits, readings
+            estimate, np.asarray(data.points[0]), limits, readings, data.depth_noise
         )
     return situation, data.view_ids
 

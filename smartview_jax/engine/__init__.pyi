@@ -74,6 +74,7 @@ from .problem_builder import with_depth_bias as with_depth_bias
 from .problem_builder import with_field as with_field
 from .problem_builder import with_free_camera_poses as with_free_camera_poses
 from .problem_builder import with_lens as with_lens
+from .problem_builder import with_weighed_depths as with_weighed_depths
 from .rig_builder import BuiltRig as BuiltRig
 from .rig_builder import base_path as base_path
 from .rig_builder import build_rig as build_rig

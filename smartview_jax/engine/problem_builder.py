@@ -283,13 +283,21 @@ def with_known_depth_noise(data: Dataset, noise: Noise, factor: float = 1.0) -> 
         noise: the noise; without standard deviations of the poses it states none.
         factor: of this camera's pixel noise.
     """
+    if not noise.has_pose_prior:
+        return data
+    return with_weighed_depths(data, factor * noise.within_view_pixel)
+
+
+def with_weighed_depths(data: Dataset, pixel_sigma: float) -> Dataset:
+    """Return the data whose depths count relative to pixels of a standard deviation, px.
+
+    Data without depths, and depths that count relative to a noise already, stay as they are.
+    """
     depths, stated = data.depths, data.depth_noise
-    if depths is None or not noise.has_pose_prior or depths.is_weighed:
+    if depths is None or depths.is_weighed:
         return data
     common = 0.0 if stated is None else stated.common or 0.0
-    return dataclasses.replace(
-        data, depths=depths.weighed(factor * noise.within_view_pixel, common)
-    )
+    return dataclasses.replace(data, depths=depths.weighed(pixel_sigma, common))
 
 
 def equal_on_host(first: Any, second: Any) -> bool:

@@ -19,7 +19,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
-from ..dataset import Dataset, Observations
+from ..dataset import SMALLEST_STD, Dataset, DepthNoise, DepthReadings, Observations
 from ..engine import (
     JointProblem,
     Noise,
@@ -48,6 +48,8 @@ class InformationModel(eqx.Module):
         prior_information: information matrix that is available without any view.
         near: joint readings near which an arm takes its views; None for robots commanded by poses.
             A view that the arm cannot reach from there has no visible points.
+        depth_noise: constant, quadratic and common part of the noise of the depths that a view
+            has, as in `DepthNoise`; None for a camera without a depth sensor.
         parameter_names: names of the free parameters, in the order of all matrices here.
     """
 
@@ -55,6 +57,7 @@ class InformationModel(eqx.Module):
     points: Float[Array, "points 3"]
     prior_information: Float[Array, "free free"]
     near: Float[Array, "joints"] | None
+    depth_noise: Float[Array, "3"] | None
     parameter_names: tuple[str, ...] = eqx.field(static=True)
 
     @classmethod
@@ -67,6 +70,7 @@ class InformationModel(eqx.Module):
         field: FieldChoice = "auto",
         previous_data: Dataset | None = None,
         near: JointsLike | None = None,
+        depth_noise: DepthNoise | None = None,
         **parameters: Unpack[ParameterOptions],
     ) -> "InformationModel":
         """Return a model from the same arguments as a fit or a Cramer-Rao bound.
@@ -82,6 +86,8 @@ class InformationModel(eqx.Module):
             previous_data: views that have already been taken.
             near: joint readings, `(joints)`, from which an arm starts towards a view; required if
                 arm errors are fitted or are the field.
+            depth_noise: noise of the depths of a camera that measures them in each view; by default
+                the noise in the previous data, which have depths or have none.
             parameters: `fixed`, paths of known parameters, and `free` as in a fit; `priors`, the
                 knowledge before any view is taken.
 
@@ -105,6 +111,13 @@ class InformationModel(eqx.Module):
             joints=None if arm is None else np.tile(np.asarray(near, dtype=float), (3, 1)),
             arm=arm,
         )
+        if depth_noise is None and previous_data is not None:
+            depth_noise = previous_data.depth_noise
+        depth_sizes = None
+        if depth_noise is not None:
+            data = data.with_depths(np.ones((3, len(target))), depth_noise)
+            sizes = depth_noise.constant, depth_noise.quadratic, depth_noise.common or 0.0
+            depth_sizes = to_device(np.array(sizes))
         robot_noise = noise if isinstance(noise, Noise) else "trusted"
         built = build_problem(data, calibration, noise=robot_noise, field=field, **parameters)
         problem = built.problem
@@ -115,7 +128,7 @@ class InformationModel(eqx.Module):
         prior = to_device(problem.host_prior_information())
         # All matrices are by the parameters as they are named.
         problem = with_fields(problem, parameters=Parameters(problem.parameters.start))
-        model = cls(problem, target, prior, near_joints, built.shared_names)
+        model = cls(problem, target, prior, near_joints, depth_sizes, built.shared_names)
         if previous_data is None:
             return model
         previous_information = jnp.sum(model.dataset_information(previous_data), axis=0)
@@ -134,7 +147,11 @@ class InformationModel(eqx.Module):
 
     def dataset_information(self, data: Dataset) -> Float[Array, "views free free"]:
         """Return the information matrix of every view of a data set."""
-        return self._matrices(data.observations)[1]
+        observations, depths = data.observations, None
+        if observations.depths is not None and self.depth_noise is not None:
+            common = float(self.depth_noise[2])
+            depths = observations.depths.weighed(float(self.problem.pixel_sigma), common)
+        return self._matrices(with_fields(observations, depths=depths))[1]
 
     def pixel_moment_matrix(self, camera_from_world: SE3) -> Float[Array, "free free"]:
         """Return the mean squared displacement of pixels by the parameters, as a matrix.
@@ -142,7 +159,7 @@ class InformationModel(eqx.Module):
         For views `(views)`, `step @ pixel_moment_matrix @ step` is the mean over all visible points
         of the squared displacement, u and v together, px^2, to first order.
         """
-        observations = self.expected_observations(camera_from_world)
+        observations = with_fields(self.expected_observations(camera_from_world), depths=None)
         # With a pixel sigma of 1 px the information J^T J of the pixels is the sum of squared
         # displacements; it is divided by the number of visible points.
         model = eqx.tree_at(lambda m: m.problem.pixel_sigma, self, to_device(np.ones(())))
@@ -169,9 +186,22 @@ class InformationModel(eqx.Module):
         observations, distance = in_batches(
             lambda batch: _expected(model, batch), camera_from_world, MIN_PADDED_VIEWS
         )
-        by_point = operator.attrgetter("points", "pixels", "visible")
+        arrays = ["points", "pixels", "visible"]
+        if observations.depths is not None:
+            arrays += ["depths.measured", "depths.precision"]
+        by_point = operator.attrgetter(*arrays)
         seen = eqx.tree_at(by_point, observations, [x[:, :count] for x in by_point(observations)])
         return jax.device_put((seen, distance[:, :count]))
+
+    def _expected_depths(self, depth: Float[Array, "views points"]) -> DepthReadings | None:
+        """Return the readings of a sensor without bias; None for a camera without one."""
+        if self.depth_noise is None:
+            return None
+        constant, quadratic, common = self.depth_noise
+        std = jnp.maximum(jnp.hypot(constant, quadratic * depth**2), SMALLEST_STD)
+        every_view = jnp.ones(len(depth))
+        pixel_sigma = self.problem.pixel_sigma * every_view
+        return DepthReadings(depth, 1.0 / std, common * every_view, pixel_sigma)
 
     def _matrices(
         self, observations: Observations
@@ -227,8 +257,8 @@ def _expected(
 ) -> tuple[Observations, Float[Array, "views points"]]:
     """Return what views would show, and the distance of every point from the border, px."""
     command, reached = model._command(camera_from_world)
-    points = model.calibration.target_scale * model.points
-    distance = border_distance(model.calibration, transform_points(camera_from_world, points))
+    in_camera = transform_points(camera_from_world, model.calibration.target_scale * model.points)
+    distance = border_distance(model.calibration, in_camera)
     distance = jnp.where(reached[:, None], distance, -jnp.inf)
     views, count = distance.shape
     observations = Observations(
@@ -237,6 +267,7 @@ def _expected(
         distance >= 0.0,
         command.base_from_tool,
         command.joints,
+        model._expected_depths(in_camera[..., 2]),
     )
     return observations, distance
 

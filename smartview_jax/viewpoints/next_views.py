@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
+from ..dataset import DepthNoise
 from ..engine import Noise, inverse_of_covariance, parameter_names
 from ..geometry import ViewedRegion, host_matrices
 from ..joint import SavedEstimate
@@ -60,6 +61,7 @@ def model_from_estimate(
     estimate: SavedEstimate,
     points: Float[np.ndarray, "points 3"],
     near: JointsLike | None = None,
+    depth_noise: DepthNoise | None = None,
 ) -> InformationModel:
     """Return the information model whose prior is the covariance of an estimate.
 
@@ -67,6 +69,7 @@ def model_from_estimate(
         estimate: a calibration with its covariance and noise.
         points: target points, m.
         near: joint readings, if the estimate contains an arm's joints.
+        depth_noise: noise of the depths that every view has; None without a depth sensor.
 
     Raises:
         ValueError: the estimate has parameters that its calibration lacks.
@@ -85,6 +88,7 @@ def model_from_estimate(
         fixed=tuple(name for name in parameter_names(calibration) if name not in estimated),
         free=tuple(name for name in ("target_scale",) if name in estimated),
         near=near,
+        depth_noise=depth_noise,
     )
     # The order in the file need not be the model's.
     order = [estimate.parameter_names.index(name) for name in model.parameter_names]

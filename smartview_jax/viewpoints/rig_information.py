@@ -194,7 +194,7 @@ class RigInformationModel:
         # Pixel centres are at 0, 1, ..., width - 1.
         last = np.array(data.image_size) - 1.0
         inside = (pixels >= border_margin) & (pixels <= last - border_margin)
-        return Dataset.from_arrays(
+        seen = Dataset.from_arrays(
             points,
             np.where(inside.all(axis=-1, keepdims=True), pixels, np.nan),
             command.base_from_tool if command.joints is None else None,
@@ -202,6 +202,14 @@ class RigInformationModel:
             mount=data.mount,
             joints=command.joints,
             arm=None if command.joints is None else self.rig.arm,
+        )
+        if data.depth_noise is None:
+            return seen
+        poses = np.asarray(calibration.camera_from_world_matrices(command))
+        in_camera = float(calibration.target_scale) * points @ poses[:, :3, :3].mT
+        depths = in_camera[..., 2] + poses[:, None, 2, 3]
+        return seen.with_depths(
+            np.where(np.asarray(seen.visible), depths, np.nan), data.depth_noise
         )
 
     def information(self, rig: Rig) -> Float[Array, "states free free"]:
@@ -223,6 +231,16 @@ class RigInformationModel:
             lambda p: (p.pixel_sigma, *(group.problems.pixel_sigma for group in p.groups)),
             problem,
             replace_fn=lambda sigma: to_device(np.ones(sigma.shape)),
+        )
+        # Depths are no pixels: they do not count.
+        problem = eqx.tree_at(
+            lambda p: [
+                group.problems.observations.depths.precision
+                for group in p.groups
+                if group.problems.observations.depths is not None
+            ],
+            problem,
+            replace_fn=jnp.zeros_like,
         )
         shared, _ = _information_by_state(problem)
         return jnp.sum(shared, axis=0) / max(problem.visible_count, 1)

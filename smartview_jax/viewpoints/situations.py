@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ..calibration import Calibration, transform_names
 from ..cameras import Camera, Pinhole
-from ..dataset import require_picture_size
+from ..dataset import DepthNoise, require_picture_size
 from ..geometry import host_matrices
 from ..joint import SavedEstimate
 from ..robots import JointsLike
@@ -76,6 +76,7 @@ def situation_of_estimate(
     points: Float[np.ndarray, "points 3"],
     limits: ViewLimits,
     readings: JointsLike | None = None,
+    depth_noise: DepthNoise | None = None,
 ) -> Situation:
     """Return the situation given a calibration with its covariance.
 
@@ -84,11 +85,12 @@ def situation_of_estimate(
         points: the target's points, m.
         limits: limits of the views.
         readings: joint readings now, if the arm's joints are calibrated.
+        depth_noise: noise of the depths that every view has; None without a depth sensor.
 
     Raises:
         ValueError: the calibration states no region, which files of earlier versions lack.
     """
-    model = model_from_estimate(estimate, points, readings)
+    model = model_from_estimate(estimate, points, readings, depth_noise)
     views = views_near_calibrated(estimate.calibration, points, limits)
     return Situation(estimate.calibration, model, points, views, 0.0, ())
 

@@ -202,7 +202,7 @@ class Directions(InformationModel):
 @pytest.fixture(scope="module")
 def directions(survey):
     names = ("x", "y", "z")
-    return Directions(survey.problem, survey.points, 1e-3 * jnp.eye(3), None, names)
+    return Directions(survey.problem, survey.points, 1e-3 * jnp.eye(3), None, None, names)
 
 
 def test_chosen_views_keep_their_limits_and_are_better_than_those_they_came_from(directions):

@@ -27,6 +27,7 @@ from ...engine import (
     eliminate,
     observability,
     padded,
+    with_weighed_depths,
 )
 from ...joint import OpenDirections, RelativePose, RigUncertainty, relative_pose
 from ...robot_errors import FieldChoice
@@ -147,10 +148,12 @@ def cramer_rao(
         return RigBound(dict(calibration), bound_covariance, std, names, undetermined)
     if not isinstance(calibration, Calibration):
         raise TypeError("cramer_rao: calibrations by camera are for a Rig")
-    noise_model = noise if isinstance(noise, Noise) else "trusted"
-    built = build_problem(data, calibration, noise=noise_model, field=field, **parameters)
-    # Without a noise model the pixel sigma is set in the problem.
-    if not isinstance(noise, Noise):
+    if isinstance(noise, Noise):
+        built = build_problem(data, calibration, noise=noise, field=field, **parameters)
+    else:
+        # Without a noise model the pixel sigma is set in the problem.
+        data = with_weighed_depths(data, float(noise))
+        built = build_problem(data, calibration, noise="trusted", field=field, **parameters)
         sigma = to_device(float(noise))
         built = eqx.tree_at(lambda b: b.problem.pixel_sigma, built, sigma)
     scaled_jacobian, bound_covariance, std = _bound(built)
