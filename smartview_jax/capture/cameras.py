@@ -95,9 +95,6 @@ class PictureFolder:
     def __init__(self, folder: str | os.PathLike[str]):
         """Store the folder.
 
-        Args:
-            folder: folder of the pictures.
-
         Raises:
             SourceLostError: there is no such folder.
         """

@@ -145,8 +145,6 @@ def first_proposals(
     """Return the first views, planned from the rough transforms of the options.
 
     Args:
-        described: target, mount and size of the pictures.
-        options: the transforms, and the limits of views and robot.
         avoided: poses near which no view is wanted, m.
 
     Raises:
@@ -172,7 +170,6 @@ def estimate(
     A fit that fails is no error here: more views will help.
 
     Args:
-        data: the views so far.
         options: a known camera, the lens, the goal, and the limits of views and robot.
         avoided: poses near which no further view is wanted, m: of views, and of places that the
             robot did not reach.

@@ -50,7 +50,6 @@ class CapturePage:
         """Store the session.
 
         Args:
-            session: the session, entered.
             max_views: largest number of views of an automatic run.
         """
         self._session, self._max_views = session, max_views
@@ -260,7 +259,6 @@ def capture_app(page: CapturePage, token: str, port: int) -> Any:
     """Return the ASGI application of a capture.
 
     Args:
-        page: the session as it is shown.
         token: the token that the first request must have.
         port: port of the server, part of the accepted origin.
 

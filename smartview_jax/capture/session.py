@@ -75,9 +75,6 @@ class CaptureSession:
         """Read the views that the folder has already.
 
         Args:
-            folder: the data set.
-            camera, robot: where pictures and poses are from.
-            options: goal and limits.
             say: called with a line of text for each thing that happens.
 
         Raises:

@@ -28,10 +28,6 @@ class SimulatedSources:
     def __init__(self, seed: int = 0, cell: SimulatedCell | None = None):
         """Set up the cell, with the board on the table.
 
-        Args:
-            seed: seed of everything random.
-            cell: the cell; by default a new one.
-
         Raises:
             ImportError: a package of smartview-jax[cell] is not installed.
         """

@@ -44,8 +44,6 @@ class FolderResult(NamedTuple):
         held_out_rms: the same on views that the fit did not see; None if it was not computed.
         translation: translation of the hand-eye transform, mm.
         translation_std: length of the vector of its standard deviations, mm; None if it is held.
-        outcome: the outcome in a word or two.
-        converged: whether the fit converged.
         document: everything that `--json` prints about the folder.
     """
 
@@ -104,10 +102,6 @@ def _calibrate_folder(paths: tuple[Path, Path], settings: CalibrateSettings) -> 
 
     Args:
         paths: of the folder, or the file of samples, and of the folder for its results.
-        settings: the same for all.
-
-    Raises:
-        ValueError, OSError: as for a single folder.
     """
 
     def silent(_: str) -> None:
@@ -161,10 +155,7 @@ def _row(
     """Return the row of a fit.
 
     Args:
-        fit: to pictures or to tracked poses.
         errors: number of views used, the error in them, its unit, and the error in unseen views.
-        warnings: how many warnings there are.
-        document: of the result.
     """
     mount_path = fit.calibration.transform_names[0]
     stds = [fit.std.get(f"{mount_path}.translation.{axis}") for axis in "xyz"]

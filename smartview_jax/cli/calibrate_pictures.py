@@ -36,9 +36,6 @@ class PictureResult(AbstractResult):
     """A fit and what was computed about it.
 
     Attributes:
-        data: the data set.
-        name: its name.
-        fit: the staged and the joint fit to all views.
         held_out_reports: held-out errors by method; empty where they were not computed.
         split_half: difference between halves of the views; None where it was not computed.
         budget: causes of the error; None where they were not computed.

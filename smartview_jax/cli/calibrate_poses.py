@@ -29,9 +29,6 @@ class PoseResult(AbstractResult):
     """A fit to tracked poses and what was computed about it.
 
     Attributes:
-        data: the pairs.
-        name: the data set's name.
-        fit: the joint fit.
         held_out: errors of held-out pairs; None where they were not computed.
         notes: remarks on the data, and on what could not be computed.
         given: the options that state prior knowledge, in words.

@@ -24,8 +24,6 @@ class AbstractResult(abc.ABC):
     """A fit, and what was computed about it.
 
     Attributes:
-        name: name of the data.
-        fit: the fit.
         notes: remarks on the data, and on what could not be computed.
         given: the options that state prior knowledge, in words.
     """

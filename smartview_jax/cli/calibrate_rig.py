@@ -23,9 +23,6 @@ class RigResult(AbstractResult):
     """A rig's fit and what was computed about it.
 
     Attributes:
-        rig: the data sets of the cameras.
-        name: name of the data.
-        fit: the joint fit.
         held_out: errors of held-out states by camera; None where they were not computed.
         notes: remarks on the data, and on what could not be computed.
         budget: causes of the errors; None where they were not computed.

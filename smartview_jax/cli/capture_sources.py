@@ -63,7 +63,6 @@ class Sources(NamedTuple):
     """The camera and the robot of a capture.
 
     Attributes:
-        camera, robot: where pictures and poses are from.
         simulated: the simulated cell; None without one.
     """
 

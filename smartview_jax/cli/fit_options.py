@@ -111,8 +111,6 @@ def parse_fit_options(lens: str, mount: str, known: FitKnowledge) -> FitOptions:
     """Read the texts of the options; every error names the option and what it expects.
 
     Args:
-        lens: name of the lens model, without a known camera.
-        mount: where camera and target are, which names the transforms.
         known: file of a known camera and texts of the other options.
 
     Raises:
@@ -306,7 +304,6 @@ def parse_rig_aspects(
 
     Args:
         texts: camera.pixel_aspect=1+-0.001 for all cameras, or left.camera.pixel_aspect for one.
-        cameras: names of the cameras.
         known: names of cameras that are held.
 
     Raises:

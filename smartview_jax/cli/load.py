@@ -99,7 +99,6 @@ class NamedViews(NamedTuple):
     """The views of a folder.
 
     Attributes:
-        names: of the views.
         pictures: their files.
         command: reported poses; None without a robot.
         cameras: name of the camera of each view; empty for a folder of one camera.
@@ -170,7 +169,6 @@ def load_calibrated_views(
 
     Args:
         path: a calibration file, or the folder or file of a calibrated rig.
-        views: the views.
         wanted: the camera that took them, and the frame of the results.
 
     Raises:

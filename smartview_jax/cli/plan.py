@@ -170,7 +170,6 @@ def _refuse_other_paths(paths: list[Path], first: bool) -> None:
     """Raise an error for other arguments than a calibration and its data set, or a folder alone.
 
     Args:
-        paths: arguments of the subcommand.
         first: whether the first views are planned, for which there is no calibration yet.
     """
     given = ", ".join(map(str, paths))

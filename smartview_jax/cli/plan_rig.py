@@ -14,10 +14,6 @@ from .terminal import print_lines, progress_line
 def is_rig_plan(paths: Sequence[Path], first: bool) -> bool:
     """Return whether the next states of a robot with several cameras are to be planned.
 
-    Args:
-        paths: arguments of the subcommand.
-        first: whether the first views are to be planned.
-
     Raises:
         ValueError: a folder with several cameras, but not what `calibrate` wrote for it, or for the
             first views.
@@ -50,10 +46,6 @@ def plan_rig(
 
     Args:
         paths: the folder of the calibrations, or the file of one arm's, and the data-set folder.
-        limits: limits of the views of each camera.
-        stop: when the plan stops.
-        robot: the robot's arm and readings.
-        json: print a document instead of a table.
     """
     folder = paths[0] if paths[0].is_dir() else paths[0].parent
     with progress_line() as progress:

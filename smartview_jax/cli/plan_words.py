@@ -17,7 +17,6 @@ def plan_words(
     """Return sentences about the gain of the planned views and why the plan stops.
 
     Args:
-        plan: the plan.
         least_gain: smallest relative decrease of the error for which a view is added.
         goal_mm: error at which the plan stops, mm; None for none.
         first: whether there are no views yet.

@@ -64,9 +64,6 @@ class CommandSheet(NamedTuple):
 
     Attributes:
         robot: the robot's format, its file, and the checks that a person overrides.
-        calibration: with it the commands were computed.
-        names: one name for each command.
-        commands: poses, joint readings and checks.
         arm: the arm of the joint readings; None where none is known.
         refused_for: names of the checks that every command must pass.
     """
@@ -82,8 +79,6 @@ class CommandSheet(NamedTuple):
         """Print the commands and write them for the robot; refuse unsafe ones.
 
         Args:
-            subcommand: name of the subcommand.
-            json: print a document instead of a table.
             say: prints further text after the table.
             content: further entries of the document.
 

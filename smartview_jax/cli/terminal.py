@@ -66,8 +66,6 @@ def print_table(
     """Print a table.
 
     Args:
-        headings: of the columns.
-        rows: texts of each row.
         justify: where texts stand in their columns; in the first column they stand left.
         style: arguments of rich's `Table`.
     """

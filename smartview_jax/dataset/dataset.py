@@ -442,9 +442,6 @@ def _mask_reasons(
 
     Args:
         given: reasons of the caller, which take precedence.
-        wrong_values: what is wrong with views.
-        ids: names of all views.
-        mask: whether views with wrong values are masked.
 
     Raises:
         ValueError: a reason for a view that does not exist; or, unless masked, views with wrong

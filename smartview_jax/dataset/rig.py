@@ -95,7 +95,6 @@ class Rig:
         """Combine data sets.
 
         Args:
-            cameras: data set of each camera, by a name.
             targets: name of the target that each camera sees, by the camera's name. By default all
                 cameras with the same mount see the same target; if they are next to several
                 arms, one on the hand of each. A target is on the table for cameras on the hand, and

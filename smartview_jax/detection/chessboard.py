@@ -44,8 +44,6 @@ def detect_chessboard(
 
     Args:
         image: grey, uint8.
-        target: the board.
-        limits: limits of the test of the detected corners; by default `DetectionLimits()`.
     """
     limits = limits or DetectionLimits()
     size = (image.shape[1], image.shape[0])

@@ -101,8 +101,6 @@ def candidate_blobs(
     this group has more than `MAX_BLOBS_PER_CIRCLE` blobs per circle, none is returned.
 
     Args:
-        blobs: all blobs.
-        count: number of circles in the grid.
         shape: shape of the picture, height and width first, px.
     """
     height, width = shape[:2]

@@ -40,8 +40,6 @@ def partial_detection(count: int, index: np.ndarray, pixels: np.ndarray) -> Dete
     """Return a detection of some of the target's points.
 
     Args:
-        count: number of points of the target.
-        index: indices of the detected points.
         pixels: one row for each detected point, px.
     """
     all_pixels = np.full((count, 2), np.nan)

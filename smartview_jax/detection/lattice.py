@@ -39,7 +39,6 @@ def match_partial_grid(
     Args:
         centres: centres of all blobs, px.
         diameters: diameters of all blobs, px.
-        target: the grid.
 
     Returns:
         Indices of the target's circles and, for each, the index of its blob; or a reason in words.

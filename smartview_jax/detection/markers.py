@@ -56,7 +56,6 @@ def detect_charuco(image: np.ndarray, target: Charuco) -> Detection:
 
     Args:
         image: grey, uint8.
-        target: the board.
     """
     count = (target.squares_x - 1) * (target.squares_y - 1)
     detector = cv2.aruco.CharucoDetector(charuco_board(target))
@@ -92,7 +91,6 @@ def detect_tags(image: np.ndarray, target: TagGrid | AprilGrid) -> Detection:
 
     Args:
         image: grey, uint8.
-        target: the grid.
     """
     count = 4 * len(target.ids)
     tags = find_tags(image, target, target.border_bits)

@@ -154,10 +154,8 @@ def checked_detection(
     """Return a detection without the points that fail, or an empty one with the reason.
 
     Args:
-        detection: the detection of all the target's points.
         points: points of the target, m.
         image_size: width and height, px.
-        limits: by default `DetectionLimits()`.
     """
     visible = detection.visible
     if not visible.any():

@@ -89,9 +89,7 @@ class Document:
     Attributes:
         points: the clicks of every point.
         edges: pairs of points.
-        faces, grasps, constraints: see their classes.
         next_id: the id of the part that is added next.
-        name: of the object.
         symmetry_confirmed: whether the user confirmed the symmetry found; None if undecided.
         symmetry_order: order of the symmetry that was confirmed or refused; None is any.
     """
@@ -168,7 +166,6 @@ def apply_change(document: Document, change: Mapping[str, Any]) -> Document:
     """Return the document after a change.
 
     Args:
-        document: the document before the change.
         change: `{"do": name, ...}` with the arguments of the named change.
 
     Raises:

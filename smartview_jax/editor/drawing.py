@@ -25,7 +25,6 @@ class AbstractDrawing(abc.ABC):
 
     Attributes:
         names: names of the views, in their order.
-        geometry: geometry of points and curves in the views.
     """
 
     names: list[str]
@@ -83,7 +82,6 @@ class AbstractDrawing(abc.ABC):
         """Click a feature in a view, and return the id of its point.
 
         Args:
-            view: name of the view.
             pixel: u and v, px.
             point: the existing point to which this click belongs; None for a new point.
         """
@@ -211,7 +209,6 @@ def check_clicks(change: Mapping[str, Any], sizes: PictureSizes) -> None:
     """Raise an error for a change with a click in an unknown view or outside its picture.
 
     Args:
-        change: as `document.apply_change` describes it.
         sizes: width and height of each view's picture, px, by the view's name.
     """
     # All parts of a change are checked before any of them is made.

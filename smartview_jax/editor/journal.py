@@ -20,7 +20,6 @@ class Journal:
     """An append-only file of changes.
 
     Attributes:
-        path: path of the file.
         entries: the changes in the journal when it was opened.
         cut_off: number of bytes of an incomplete last line that were removed.
     """
@@ -29,7 +28,6 @@ class Journal:
         """Open a journal, or begin one.
 
         Args:
-            path: of the file.
             header: the views that the changes refer to; an existing journal must have the same.
 
         Raises:

@@ -96,7 +96,6 @@ def constraint_of(fact: DrawnConstraint, number: Mapping[int, int]) -> AbstractC
     """Return the constraint of a fact.
 
     Args:
-        fact: the fact, as stated.
         number: number of the vertex by the id of the point.
 
     Raises:

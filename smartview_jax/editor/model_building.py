@@ -39,8 +39,6 @@ def build_model(
     Parts in `problems_of` are left out; the symmetry is not computed.
 
     Args:
-        document: the document.
-        estimates: estimates of all points.
         names: names of the views, for the provenance.
         picture_covariance: joint covariance of the coordinates of all `placed_points`, m^2; None
             if the points are independent.

@@ -85,7 +85,6 @@ class Proposals:
         """Remove points from the offer, after they were accepted or rejected.
 
         Args:
-            numbers: numbers of the points.
             document_before: the document before they were accepted; None if they were rejected.
         """
         for k, number in enumerate(numbers):

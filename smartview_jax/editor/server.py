@@ -45,7 +45,6 @@ def editor_app(session: ModelSession, token: str, port: int) -> Any:
     """Return the ASGI application that shows a session.
 
     Args:
-        session: the session to edit.
         token: the token that the first request must have.
         port: port of the server, part of the accepted origin.
 

@@ -124,7 +124,6 @@ class ViewGeometry:
 
     Attributes:
         names: names of the views.
-        command: reported poses.
         camera_from_world: extrinsics of all views.
         centres: camera centres in the world, m.
         depth_range: nearest and farthest depth of curves by view, m.

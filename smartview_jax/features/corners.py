@@ -160,7 +160,6 @@ def _common_points(
     """Return the points nearest to several lines each, their covariances, and which are certain.
 
     Args:
-        lines: all segments.
         corner, segment: index of each corner, and of a line that runs through it.
         starts: where the corners are, roughly.
     """

@@ -97,13 +97,7 @@ def features_from_edge_points(
     edge_points: EdgePoints,
     camera: Camera,
 ) -> Features:
-    """Return the segments and corners of a picture whose edge points are already known.
-
-    Args:
-        grey: grey levels of the picture.
-        gradient, edge_points: of this picture.
-        camera: intrinsics and lens of the camera that took it.
-    """
+    """Return the segments and corners of a picture whose edge points are already known."""
     plane = IdealPlane(camera)
     lines = find_lines(grey, edge_points, plane)
     junctions = line_corners(lines)

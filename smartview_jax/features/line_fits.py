@@ -78,7 +78,6 @@ class LineFits(NamedTuple):
     """Lines, and the points that each of them runs through.
 
     Attributes:
-        lines: where each line is.
         members: points of the lines; none for rejected lines.
     """
 

@@ -18,7 +18,6 @@ def grey_levels(picture: np.ndarray, camera: Camera) -> Float[np.ndarray, "rows 
 
     Args:
         picture: uint8, grey `(rows, columns)` or BGR `(rows, columns, 3)`.
-        camera: the camera that took it.
 
     Raises:
         ValueError: the array is empty, of another type or of another size than the camera's

@@ -156,8 +156,6 @@ def gradient_at(
 
     Args:
         scale: of the searched picture over the original one.
-        original: gradient of the original picture.
-        searched: the picture at that scale.
     """
     gradient = Gradient.of(searched)
     if scale <= 1.0:

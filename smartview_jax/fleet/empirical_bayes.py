@@ -149,10 +149,7 @@ def _likeliest_type(
     """Estimate sizes and common errors of a type in each model, and which robots belong, in turn.
 
     Args:
-        evidence: what each robot's views say.
-        models: names of the models.
         any_robot: logarithm of each robot's evidence under the prior for any robot.
-        general: this prior.
 
     Returns:
         The prior and the common errors of the best model, its name, and the weight of each robot.
@@ -302,11 +299,6 @@ def _common_errors(
     """Return the errors that robots have in common; None if these are not of one nominal arm.
 
     Args:
-        evidence: what each robot's views say.
-        model: name of the model of the errors.
-        sizes: each robot's sizes of errors in this model.
-        members: weight of each robot.
-        general: prior for any robot.
         limits_sizes: whether deviations of single robots count at most as any robot's median.
     """
     fields = [robot.arm_errors for robot in evidence]
@@ -332,7 +324,6 @@ def _shares(
     """Estimate the shares of kinds of robots from the evidence of each robot for each kind.
 
     Args:
-        logs: logarithms of the evidence.
         weights: weight of each robot; by default one.
 
     Returns:
@@ -409,8 +400,6 @@ def _common_sizes(
     """Return mean and standard deviation of the logarithms of the sizes of the next robot.
 
     Args:
-        sizes: each robot's likelihood.
-        members: weight of each robot.
         general_mean, general_std: of the sizes of a robot of any type.
     """
     information = np.stack([robot.information for robot in sizes])

@@ -77,7 +77,6 @@ class _Job(NamedTuple):
 
     Attributes:
         number: position of the input, from zero.
-        item: the input.
         is_suspect: whether a worker died while the job was running; it is then repeated alone.
         lonely_deaths: how often a worker died while no other job ran.
     """
@@ -203,12 +202,7 @@ def _error_of(future: Future[Any]) -> Exception | None:
 
 
 def _outcome_of(number: int, future: Future[Any]) -> Outcome:
-    """Return the result of a job that has ended, or its error, also where the result is unreadable.
-
-    Args:
-        number: position of the job's input.
-        future: the job.
-    """
+    """Return the result of a job that has ended, or its error, such as an unreadable result."""
     error = _error_of(future)
     if error is not None:
         return Outcome(number, None, error)
@@ -296,7 +290,6 @@ def _process_pool(count: int, optimise: bool) -> ProcessPoolExecutor:
     """Return a pool of new processes that can run jobs.
 
     Args:
-        count: number of processes.
         optimise: whether they optimise the programs of small data sets.
 
     Raises:

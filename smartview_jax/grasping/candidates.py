@@ -37,7 +37,6 @@ class Candidate(NamedTuple):
     """A grasp of the model, repeated by the model's and the gripper's symmetry.
 
     Attributes:
-        grasp: the model's grasp.
         object_from_gripper: pose of the gripper's frame in the object's, m.
         opening: distance between the fingers while they approach, m.
         width: width of the object between the fingers, m.

@@ -140,7 +140,6 @@ def swept_gripper(
     """Return the corners of the volume that a gripper sweeps on a straight line from a pose.
 
     Args:
-        gripper: the gripper.
         opening: distance between the fingers, m.
         world_from_gripper: pose at one end of the line.
         translation: from this pose to the other end, in the world's frame, m.

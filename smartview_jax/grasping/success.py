@@ -50,8 +50,6 @@ def grasp_conditions(
     """Return the conditions under which a grasp succeeds.
 
     Args:
-        candidate: the grasp.
-        gripper: the gripper.
         clearance: distance from the open gripper to the nearest obstacle, m.
     """
     # Each condition is a row of the matrix; |x| <= b makes two.

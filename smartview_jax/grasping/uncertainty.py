@@ -75,9 +75,7 @@ def error_covariance(
     """Return the joint covariance of eta and tau, in this order, for one grasp.
 
     Args:
-        localized: the object.
         gripper_from_object: its pose in the gripper's frame.
-        errors: of the gripper's pose.
     """
     _, covariance = checked_object(localized)
     to_gripper = host_adjoints(gripper_from_object)

@@ -26,7 +26,6 @@ class Table:
     """The rows of a CSV file as mappings from its header, and what was recognised in its text.
 
     Attributes:
-        path: of the file.
         rows: fields by the name of their column.
         notes: sentences for the user; none for a table as this package writes it.
         comments: comment lines of the file.
@@ -87,7 +86,6 @@ def read_table(path: Path, required: Sequence[str], units: Collection[str] = ("s
     or by a unit among `units`, is this column.
 
     Args:
-        path: of the file.
         required: names of columns that the table must have.
         units: units that a required column may have in its name, such as `time_s` for `time`.
 
@@ -178,10 +176,6 @@ def parse_numbers(
     """Return some columns of a row as numbers.
 
     Args:
-        path: of the table, for error messages.
-        row: one row of the table, by column name.
-        columns: names of the columns to return.
-        view: id of the row's view, for error messages.
         require_finite: whether to refuse NaN and infinity; False if the caller can mask the view.
 
     Raises:
@@ -203,9 +197,7 @@ def refuse_out_of_range(path: str | Path, positions: np.ndarray, labels: Sequenc
     """Raise a ValueError that names the first position beyond the reach of any robot.
 
     Args:
-        path: of the file that the positions are from, for the error message.
         positions: `(views, 3)`, m; each coordinate is limited by `MAX_COORDINATE`, and NaN passes.
-        labels: one view id for each position.
     """
     for label, position in zip(labels, positions, strict=True):
         for axis, value in zip("xyz", position, strict=True):
@@ -225,9 +217,6 @@ def write_table(
     """Write a CSV file, completely or not at all; floats keep every digit.
 
     Args:
-        path: of the file.
-        header: names of the columns.
-        rows: the fields of each row.
         comments: lines to write at the end, which readers ignore.
 
     Raises:
@@ -248,12 +237,6 @@ def write_view_table(
     numbers: Float[np.ndarray, "views numbers"],
 ) -> None:
     """Write a CSV file with a row of numbers for each view, completely or not at all.
-
-    Args:
-        path: of the file.
-        view_ids: names of the views.
-        columns: names of the columns after the view's name.
-        numbers: of each view.
 
     Raises:
         ValueError: the file could not be read back with a view's name; nothing is written.

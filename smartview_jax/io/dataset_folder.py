@@ -134,15 +134,7 @@ def camera_dataset(
     options: LoadOptions,
     description_path: Path,
 ) -> Dataset:
-    """Return the data set of one camera, whose target is detected in its pictures.
-
-    Args:
-        camera: the description of the camera.
-        readings: what the robot reported in the camera's views.
-        files: pictures of each view.
-        options: how they are read.
-        description_path: path of the description, for error messages.
-    """
+    """Return the data set of one camera, whose target is detected in its pictures."""
     data = dataset_from_pictures(
         files,
         readings.poses,
@@ -166,11 +158,7 @@ def detected_dataset(
     options: LoadOptions,
     description_path: Path,
 ) -> Dataset:
-    """Return the data set of one camera from its table of detected points.
-
-    Args:
-        camera, readings, options, description_path: as for `camera_dataset`.
-    """
+    """Return the data set of one camera from its table of detected points."""
     try:
         detected, table_notes = read_detections(
             camera.detections,
@@ -291,7 +279,6 @@ def described_target(data: Dataset, owner: str) -> AbstractTarget:
     """Return the target of a data set; of one without a target, its listed points.
 
     Args:
-        data: the data set.
         owner: name of the data set for error messages, such as "camera 'left'".
 
     Raises:
@@ -377,10 +364,7 @@ def write_described_folder(
     """Write tables of poses and then the description with the given entries.
 
     Args:
-        folder: of the data set.
         poses: view ids and reported poses of each table, by its name.
-        entries: of the description.
-        pose_format: one of `POSE_CODECS`.
 
     Raises:
         ValueError: a name or a value with which the folder could not be read back.

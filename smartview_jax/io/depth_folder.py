@@ -134,7 +134,6 @@ def read_points_folder(described: DescribedFolder, options: LoadOptions) -> Pose
 
     Args:
         described: a folder with an entry `measured_points`.
-        options: how it is read.
 
     Raises:
         ValueError: a wrong entry or file, or points that do not belong to the target.
@@ -165,10 +164,7 @@ def read_depth_pictures(
     """Read the depth pictures of a folder at the target's points, detected in its other pictures.
 
     Args:
-        data: the detected points.
-        readings: what the robot reported.
         described: a folder with an entry `depth_pictures`.
-        options: how it is read.
 
     Raises:
         ValueError: a wrong picture, or depths that do not belong to the target.

@@ -46,8 +46,6 @@ def write_detections(
     """Write one row for each detected point, and return the number of rows.
 
     Args:
-        path: of the file.
-        view_ids: view ids.
         pixels: detected points, px; NaN where a point was not detected.
     """
     rows = [
@@ -60,12 +58,7 @@ def write_detections(
 
 
 def write_kept_detections(path: Path, kept: Mapping[str, KeptDetection]) -> None:
-    """Write detections to the file, to be reused as long as their keys stay the same.
-
-    Args:
-        path: of the file.
-        kept: detections by view id.
-    """
+    """Write detections to the file, to be reused as long as their keys stay the same."""
     rows, comments = [], []
     for view, (key, detection) in kept.items():
         # The number of rows reveals a truncated file.
@@ -98,9 +91,6 @@ def read_detections(
     """Read the detected points, px, NaN where a point was not detected, and notes on the table.
 
     Args:
-        path: of the file.
-        view_ids: ids of all views.
-        point_count: number of points of the target.
         stated_rows: number of rows that the description states; None if it states none.
 
     Raises:
@@ -123,7 +113,6 @@ def read_kept_detections(
     Args:
         path: of the file, which may be missing.
         view_ids: ids of the views to read; rows of others are ignored.
-        point_count: number of points of the target.
 
     Raises:
         ValueError: the file is not a table of detections, or has a wrong value.
@@ -192,11 +181,7 @@ def values_of_points(
     """Return the numbers that a table has for points of the target, by view and point.
 
     Args:
-        path: of the table, for messages.
         rows: of the table, with the columns `view` and `point`.
-        view_ids: ids of all views.
-        point_count: number of points of the target.
-        columns: names of the columns of numbers.
 
     Returns:
         The numbers; NaN where a point has no row.

@@ -38,7 +38,6 @@ class DescribedFolder(NamedTuple):
     """A folder with the entries of its description, which readers of its parts take.
 
     Attributes:
-        folder: the folder.
         content: entries of the description.
         path: of the description, for messages.
     """
@@ -145,10 +144,6 @@ def described_camera(
     described: DescribedFolder, description: "schemas.DatasetFile"
 ) -> FolderDescription:
     """Return the description of the camera of a folder with pictures.
-
-    Args:
-        described: the folder.
-        description: its description, validated.
 
     Raises:
         ValueError: a wrong target or rough pose; the message names the file.

@@ -115,10 +115,7 @@ def numbered_pictures(
     """Return the picture of each numbered view, by view id.
 
     Args:
-        folder: folder to which the pattern is relative.
         pattern: file name with `{view}`, formatted by the number.
-        numbers: numbers of the views.
-        poses_path: file of the poses, for the error message.
 
     Raises:
         ValueError: a pattern without `{view}`, or pictures without a pose.
@@ -191,7 +188,6 @@ def read_board_heights(
         table: the table of poses, joint readings or picture times; None if the poses are in a file
             of another format, which has no further columns.
         target: only a `StackedTarget` has several heights.
-        view_ids: ids of all views in the table.
         suffix: suffix of the names in the table that the ids do not have.
 
     Raises:

@@ -41,10 +41,8 @@ class ReadJoints(NamedTuple):
     """The joint readings of a table, by view.
 
     Attributes:
-        view_ids: view ids.
         readings: rad (m for a prismatic joint).
         arm: the arm that has these readings.
-        table: the file as a table.
         notes: sentences on what was recognised in the table.
     """
 

@@ -301,7 +301,6 @@ def refuse_broken_text(path: Path, kind: str) -> None:
     PLY only as many lines are read as its header says.
 
     Args:
-        path: of the file.
         kind: its format; files of other formats than OBJ and PLY pass.
     """
     if kind == "obj":

@@ -37,7 +37,6 @@ class ShownTarget(NamedTuple):
     """The target that pictures show, and what is known of the pictures before.
 
     Attributes:
-        target: the calibration target.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         image_size: width and height of every picture, px; None for the first picture's.
         holder_from_world: approximate pose of the target: `base_from_world`, or `tool_from_world`
@@ -61,9 +60,6 @@ def detect_views(
     cache: Path | None = None,
 ) -> tuple[dict[str, Detection], tuple[int, int]]:
     """Detect the target in every view, and return the detections and the pictures' size, px.
-
-    Args:
-        pictures, shown, options, cache: as in `dataset_from_pictures`.
 
     Raises:
         FileNotFoundError: a picture is missing and views are not masked, or all are missing.
@@ -159,7 +155,6 @@ def _refuse_missing(pictures: Mapping[str, Sequence[Path]], masked: bool) -> Non
     If none exists, the folder or the suffix is wrong: the error lists what the folder has.
 
     Args:
-        pictures: files by view id.
         masked: whether the views of single missing pictures are left out instead.
     """
     paths = [path for view_paths in pictures.values() for path in view_paths]

@@ -44,9 +44,6 @@ def with_folder_depths(
     """Return the data set of a folder with the depths at its points, if it has any.
 
     Args:
-        data: the detected points.
-        described: the folder.
-        options: how it is read.
         table: name of the table of depths in the folder.
 
     Raises:

@@ -100,11 +100,9 @@ def table_format(
     """Return the format of a table from its header and from a description.
 
     Args:
-        path: of the table, for messages.
         rows: of the table, by column; at least one.
         stated: the description's entry, whose keys `codec`, `length_unit`, `angle_unit` and
             `direction` may be missing where the header says the same.
-        entry: name of this entry, for messages.
 
     Raises:
         ValueError: header and description are incomplete or contradict each other.
@@ -135,7 +133,6 @@ def header_formats(header: Sequence[str], named: PoseCodec | None = None) -> lis
     """Return the formats whose columns, with units, are all in a header.
 
     Args:
-        header: names of the table's columns.
         named: the only format to look for; None for all formats.
     """
     formats: dict[tuple[str, tuple[str, ...]], PoseFormat] = {}
@@ -168,10 +165,7 @@ def decoded_poses(
     """Return `base_from_tool` of the rows of a table, which may hold inverse poses.
 
     Args:
-        path: of the table, for messages.
-        form: format of the rows.
         rows: numbers in the codec's order.
-        labels: a name for each row, for messages.
 
     Raises:
         ValueError: a row is not a pose.

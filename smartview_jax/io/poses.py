@@ -45,7 +45,6 @@ class RobotReadings(NamedTuple):
     """The robot's reported poses by view, with joint readings if the folder has them.
 
     Attributes:
-        view_ids: view ids.
         poses: reported `base_from_tool`, `(views)`.
         masked_views: reason by view id, for the views whose row is not a valid pose.
         table: the table that has a row for each view; None if the poses are in a file in JSON.
@@ -93,10 +92,8 @@ def read_poses(
     """Read view ids and poses, and the reasons of masked views by view id.
 
     Args:
-        folder: of the data set.
         content: the entry of the table, as `schemas.dataset` defines `poses`.
         bad_views: `"mask"` to mask views whose row is not a valid pose, `"raise"` to raise.
-        entry: name of the entry, for messages.
 
     Raises:
         ValueError: a wrong value; the message names the file and the view.

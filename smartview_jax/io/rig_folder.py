@@ -200,12 +200,9 @@ def _views_of_camera(
     """Return the data set of one camera, of the states in which it took a picture.
 
     Args:
-        name: of the camera.
-        camera: description of the camera.
         readings: what the robot reported, in all states.
         robot: description of its tables.
         pattern: of the camera's pictures; empty where only detections are known.
-        options: of the loading.
 
     Raises:
         FileNotFoundError: the camera has no picture.

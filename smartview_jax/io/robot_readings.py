@@ -13,7 +13,6 @@ def read_robot_readings(described: DescribedFolder, bad_views: str) -> RobotRead
     """Read the tables that the entries `poses` and `joints` of a description name.
 
     Args:
-        described: the folder.
         bad_views: `"mask"` to mask views whose row is not a valid pose, `"raise"` to raise.
 
     Raises:
@@ -49,10 +48,6 @@ def read_sound_readings(described: DescribedFolder) -> RobotReadings:
 
 def suffix_in_names(described: DescribedFolder, view_ids: Sequence[str]) -> str:
     """Return the picture suffix that all view names end in although the pattern adds it too.
-
-    Args:
-        described: the folder.
-        view_ids: names of the views as the table has them.
 
     Returns:
         A suffix such as `".png"`; empty if the names do not have it, or if the pattern with the

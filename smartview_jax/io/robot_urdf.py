@@ -85,7 +85,6 @@ def actual_arm(calibration: Calibration, arm: SerialArm | None = None) -> Serial
     Joints that displace the tool by at most `MAX_BENDING` as they bend are taken as rigid.
 
     Args:
-        calibration: the calibration.
         arm: the arm of a calibration without robot error.
 
     Raises:

@@ -59,7 +59,6 @@ class TableText(NamedTuple):
     """The fields of a table, and what was recognised in its text.
 
     Attributes:
-        header: names of the columns.
         rows: fields of each row, as many as the header has.
         seen: differences from a UTF-8 table with commas and decimal points, for the user.
         comments: lines that begin with "#".
@@ -112,7 +111,6 @@ def read_table_text(path: Path, is_header: Callable[[Sequence[str]], bool]) -> T
     """Read the fields of a table.
 
     Args:
-        path: of the table.
         is_header: function that returns whether the column names are those that the caller
             needs; it decides between separators.
 
@@ -300,7 +298,6 @@ def _has_decimal_commas(path: Path, fields: Sequence[tuple[str, str]]) -> bool:
     """Return whether the numbers among some fields have decimal commas.
 
     Args:
-        path: of the table, for messages.
         fields: each field without unambiguous thousands separators, and as given.
 
     Raises:

@@ -16,7 +16,6 @@ def with_other_hand(data: Dataset, other: RobotReadings, table: Path) -> Dataset
     Args:
         data: as of a camera on a hand that sees a target on the table.
         other: what the arm that carries the target reported, in these views and perhaps in others.
-        table: path of its table, for error messages.
 
     Raises:
         ValueError: a wrong value, or a view without a pose; the message names the table.

@@ -118,7 +118,6 @@ class _Deletion(NamedTuple):
     """The statistics for leaving out one view of a feature; NaN where nothing is compared.
 
     Attributes:
-        view: index of the view.
         chi_square: reduction of the feature's chi-square without the view.
         degrees_of_freedom: degrees of freedom of the reduction.
         rest: remaining chi-square without the view.

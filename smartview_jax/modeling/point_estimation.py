@@ -65,10 +65,8 @@ def estimate_points(
 
     Args:
         camera: intrinsics and lens, of all views or of each.
-        camera_from_world: extrinsics.
         pixels: px; any finite number where not visible.
         whitening: matrices that scale pixel errors to unit covariance.
-        visible: where a point is visible.
         loss: robust loss of the whitened residuals; None is least squares.
     """
     problem = PointProblem(camera, camera_from_world, pixels, whitening, visible, loss)

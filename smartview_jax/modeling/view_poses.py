@@ -61,9 +61,6 @@ def as_checked_command(poses: CommandLike, names: Sequence[str] | None = None) -
 def as_rigid_command(poses: CommandLike, names: Sequence[str] | None = None) -> Command:
     """Return poses of views, out of reach or not, as a command of host arrays.
 
-    Args:
-        poses, names: as in `as_checked_command`.
-
     Raises:
         ValueError: a pose that is not rigid, with the view; poses without one batch axis, or not
             one for each view; or joint readings for another number of views.
@@ -98,12 +95,7 @@ def command_at(command: Command, views: int | Sequence[int] | np.ndarray) -> Com
 
 
 def chain_command(chain: CameraChain, command: Command) -> Command:
-    """Return the reported poses of a camera's views, padded; the identity if they do not matter.
-
-    Args:
-        chain: of the camera.
-        command: reported poses of all views.
-    """
+    """Return the reported poses of a camera's views, padded; the identity if they do not matter."""
     if chain.is_fixed:
         return padded_views(Command(host_transforms(np.tile(np.eye(4), (len(chain.views), 1, 1)))))
     return padded_views(command_at(command, chain.views))

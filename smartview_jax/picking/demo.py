@@ -168,8 +168,6 @@ def modelled(
 
     Args:
         cell: in which the object replaces everything else.
-        calibrated: its calibration.
-        block: the object.
         path: of the model's file, in a folder without an earlier session.
 
     Returns:
@@ -244,8 +242,6 @@ def position_error(
     at a known place.
 
     Args:
-        target: the localised object.
-        truth: the object's true pose.
         origin: where it stood while it was modelled, m.
     """
     middle = target.model.vertices.mean(axis=0)

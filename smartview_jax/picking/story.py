@@ -52,8 +52,6 @@ def localised_section(
     """Return the part of the page with Fig. 8 (a) to (f) of this run.
 
     Args:
-        look: pictures and found objects.
-        calibrated: the calibration.
         region: the part of the pictures to show.
         strip: pictures of the bystander by phase; the last one is Fig. 8 (f).
     """

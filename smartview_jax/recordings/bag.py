@@ -25,7 +25,6 @@ class Message(NamedTuple):
     """A message of a bag.
 
     Attributes:
-        topic: name of its topic.
         received: when it was recorded, ns since 1970.
         content: the message, whose attributes are named as in ROS 2.
     """

@@ -177,8 +177,6 @@ class _Import:
         """Write the chosen pictures of a topic one after the other, and return the first.
 
         Args:
-            folder: of the data set.
-            topic: of the pictures.
             views: names of the views by the time of their picture, ns.
             until: time of recording before which all of them were recorded, ns.
 

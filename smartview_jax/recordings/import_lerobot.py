@@ -287,10 +287,6 @@ def refuse_percentages(where: str, readings: Float[np.ndarray, "frames joints"])
     Reference: MotorsBus._normalize in https://github.com/huggingface/lerobot
     (motors/motors_bus.py).
 
-    Args:
-        where: the file and the feature, for the message.
-        readings: of the joints that turn, as recorded.
-
     Raises:
         ValueError: two or more joints have the steps of percentages.
     """

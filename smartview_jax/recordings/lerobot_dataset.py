@@ -57,7 +57,6 @@ class LeRobotDataset:
     """A folder of LeRobot.
 
     Attributes:
-        path: of the folder.
         features: description of each feature by its name.
     """
 

@@ -49,8 +49,6 @@ def next_steps(fit: CalibrationFit, data: Dataset, rows: Sequence[ErrorSummary])
     """Return what limits the result and what would improve it, one sentence each.
 
     Args:
-        fit: the calibration.
-        data: the views that it was fitted to.
         rows: errors of the staged and of the joint fit, in this order.
     """
     if not fit.joint.result.converged:

@@ -88,7 +88,6 @@ def wrap_to_limits(
     Prismatic joints do not change.
 
     Args:
-        arm: arm whose limits apply.
         joints: readings, rad or m.
         near: readings to be close to; by default the middle of the limits, or zero for a joint
             without two limits.

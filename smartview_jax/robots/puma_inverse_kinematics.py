@@ -299,7 +299,6 @@ def _wrist_angles(
     """Return the angles of joints 4 to 6, and whether the wrist is singular.
 
     Args:
-        arm: a Puma-like arm.
         rotation: of the hand relative to the forearm.
         sign: of the branch.
         near: angle of joint 4 where it is arbitrary.

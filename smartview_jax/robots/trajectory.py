@@ -127,7 +127,6 @@ def _interpolation_error(
     """Return the RMS error of position and angle of interpolation over a duration.
 
     Args:
-        trajectory: the logged poses.
         duration: of the windows, s.
         fraction: place within the window where the pose is interpolated, 0 to 1.
         usual: longest interval at which a log is complete, s.

@@ -33,7 +33,6 @@ def refuse_other_kind(content: Any, known: Iterable[str]) -> None:
     """Raise a ValueError for the content of a file of another kind.
 
     Args:
-        content: as read from the file.
         known: keys of the expected file, with its kind.
     """
     keys = list(content) if isinstance(content, dict) else []
@@ -76,11 +75,7 @@ class Entry(BaseModel):
 
 @dataclasses.dataclass(frozen=True)
 class Expected:
-    """A description of the values that a type expects, for its errors and its JSON schema.
-
-    Attributes:
-        description: description of the expected value with its unit and range.
-    """
+    """A description of the values that a type expects, for its errors and its JSON schema."""
 
     description: str
 

@@ -138,8 +138,6 @@ def entry_path(location: Sequence[str | int], content: Any, keep_last: bool = Fa
     and are left out.
 
     Args:
-        location: steps of the problem's location, from pydantic.
-        content: content of the file.
         keep_last: whether to keep the last step although the file does not have it, for a missing
             entry.
     """

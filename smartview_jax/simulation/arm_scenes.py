@@ -161,7 +161,6 @@ def joints_near_home(arm: SerialArm, base_from_tool: SE3) -> Float[Array, "views
 
     Args:
         arm: an arm of six joints.
-        base_from_tool: wanted pose in each view.
 
     Raises:
         RuntimeError: the arm does not reach a view.

@@ -152,7 +152,6 @@ def calibration_of(camera: Camera, reach: float) -> Calibration:
     """Return a true calibration of a camera on a hand whose target lies before the robot.
 
     Args:
-        camera: its intrinsics and lens.
         reach: x of the target in the robot's base, m.
     """
     camera_from_tool = SE3.from_rotation_and_translation(

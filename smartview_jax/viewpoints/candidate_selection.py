@@ -42,10 +42,7 @@ def best_candidates(
     """Return indices of the candidates that together make the criterion as small as possible.
 
     Args:
-        information: information matrix of each candidate.
         prior_information: information without any candidate.
-        criterion: the criterion.
-        count: number of candidates to choose.
         allowed: whether each candidate may be chosen; at least `count` may.
         say: called with a text for each stage.
     """
@@ -284,7 +281,6 @@ def worth_of_views(
     """Return up to which view another one is worth its time.
 
     Args:
-        criterion: the criterion.
         prior_information: before the first view.
         values: of its `cumulative_criterion`.
         stop: the goal and the least gain.

@@ -174,12 +174,9 @@ def check_views(
     """Return the results of all checks that the given information allows.
 
     Args:
-        calibration: calibration of camera and robot.
-        command: robot commands, `(*views)`.
         camera_from_world: camera poses that the commands result in.
         points: target points, m; None omits the checks of visibility and focus.
         joint_solution: inverse-kinematics solution; None where no arm is known.
-        limits: limits to keep.
     """
     views = camera_from_world.get_batch_axes()
     finite = jnp.all(jnp.isfinite(camera_from_world.wxyz_xyz), axis=-1)

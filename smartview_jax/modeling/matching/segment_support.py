@@ -32,7 +32,6 @@ def joined_points(
     """Return the pairs of points that follow one another on a segment, and the segment of each.
 
     Args:
-        features: of the view.
         pixels: pixels of the points; NaN where they are not visible.
         rays: unit rays of the points in the camera's frame.
         focal_length: px.

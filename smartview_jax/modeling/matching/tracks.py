@@ -89,8 +89,6 @@ def epipolar_pairs(
     """Return pairs of corners of two views that are among the best of each other.
 
     Args:
-        views: all views.
-        first, second: indices of the two views.
         depths: smallest and largest distance of points from the cameras, m.
     """
     a, b = views[first], views[second]
@@ -163,10 +161,7 @@ def supported_tracks(
     """Return the tracks of pairs whose point is seen in other views too, each corner used once.
 
     Args:
-        views: all views.
-        pairs: pairs of all views.
         projected: pixels of the pairs' points in all views; NaN where not visible.
-        min_views: smallest number of views of a track.
     """
     corners, similarity, distance = _supporters(views, pairs, projected)
     count = (corners >= 0).sum(axis=0)
