@@ -146,9 +146,6 @@ def first_proposals(
 
     Args:
         avoided: poses near which no view is wanted, m.
-
-    Raises:
-        ValueError: a missing transform, or too few views within the limits.
     """
     situation = situation_of_drawing(
         options.start or {},

@@ -261,9 +261,6 @@ def capture_app(page: CapturePage, token: str, port: int) -> Any:
     Args:
         token: the token that the first request must have.
         port: port of the server, part of the accepted origin.
-
-    Raises:
-        ImportError: starlette is not installed.
     """
     import_extra("starlette", "editor", "the page of smartview capture")
     from starlette.applications import Starlette

@@ -61,11 +61,7 @@ class FolderResult(NamedTuple):
 def calibrate_folders(
     folders: Sequence[Path], out: Path, settings: CalibrateSettings, jobs: int | None, json: bool
 ) -> int:
-    """Calibrate folders, write each calibration, print a table, and return the exit code.
-
-    Raises:
-        ValueError: two folders with the same name, or results that cannot be written.
-    """
+    """Calibrate folders, write each calibration, print a table, and return the exit code."""
     names = [folder.stem if folder.is_file() else folder.resolve().name for folder in folders]
     for name, count in Counter(names).items():
         if count > 1:

@@ -90,11 +90,7 @@ def calibrated_poses(
     settings: CalibrateSettings,
     progress: Callable[[str], None],
 ) -> PoseResult:
-    """Fit tracked poses, and compute their held-out errors if requested.
-
-    Raises:
-        ValueError: an option that only pictures have, and the errors of `fit_poses`.
-    """
+    """Fit tracked poses, and compute their held-out errors if requested."""
     if settings.diagnose or settings.noise != "estimated":
         option = "--diagnose" if settings.diagnose else "--noise"
         raise ValueError(f"{option}: expected a data set with pictures; {name} has tracked poses")

@@ -116,12 +116,7 @@ class RigResult(AbstractResult):
 def loaded_rig(
     folders: Sequence[Path], settings: CalibrateSettings, progress: Callable[[str], None]
 ) -> "tuple[sv.Rig, str]":
-    """Load a folder with several cameras, or a folder for each camera, and return a name too.
-
-    Raises:
-        ValueError: an option that a rig does not have, or data sets that do not belong to one
-            robot.
-    """
+    """Load a folder with several cameras, or a folder for each camera, and return a name too."""
     _refuse_other_options(settings)
     if len(folders) == 1:
         rig = sv.load_rig(folders[0], settings.bad_views, progress)

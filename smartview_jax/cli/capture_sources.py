@@ -77,11 +77,6 @@ def open_sources(named: SourceOptions, folder: Path) -> Sources:
     Args:
         named: texts that name them; without a pose format the folder's table states it.
         folder: the data set; the simulated cell begins it if it is new.
-
-    Raises:
-        ImportError: an extra is not installed.
-        ValueError: a text that names no source.
-        OSError: the folder has no description.
     """
     simulated = None
     if SIMULATED in (named.camera, named.robot):

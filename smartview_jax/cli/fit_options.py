@@ -112,9 +112,6 @@ def parse_fit_options(lens: str, mount: str, known: FitKnowledge) -> FitOptions:
 
     Args:
         known: file of a known camera and texts of the other options.
-
-    Raises:
-        ValueError: an unknown name, a missing unit, or options that contradict each other.
     """
     # Before anything is detected or fitted, so that a misspelt name is reported at once.
     camera = None if known.camera is None else sv.io.read_camera(known.camera)
@@ -242,11 +239,7 @@ def _refuse_contradictions(
 
 
 def _parse_start(texts: Sequence[str], mount: str) -> "sv.Calibration | dict[str, SE3] | None":
-    """Return the start of the joint fit: a file's calibration with the given transforms, or these.
-
-    Raises:
-        ValueError: two files, or a transform that the mount does not have.
-    """
+    """Return the start of the joint fit: the transforms given, in a file's calibration if any."""
     files = [text for text in texts if "=" not in text]
     if len(files) > 1:
         raise ValueError(f"--start: one calibration file, found {files[1]!r} too")
@@ -268,10 +261,6 @@ def parse_rig_start(
     Args:
         texts: a folder with a calibration for each camera, or CAMERA.NAME=x,y,z,yaw,pitch,roll.
         mounts: mount of each camera, by its name.
-
-    Raises:
-        ValueError: two folders, a folder without the calibration of a camera, an unknown camera, or
-            a transform that its mount does not have.
     """
     folders = [Path(text) for text in texts if "=" not in text]
     if len(folders) > 1:
@@ -305,10 +294,6 @@ def parse_rig_aspects(
     Args:
         texts: camera.pixel_aspect=1+-0.001 for all cameras, or left.camera.pixel_aspect for one.
         known: names of cameras that are held.
-
-    Raises:
-        ValueError: another parameter, a camera that is unknown or held, or what no text of a prior
-            can mean.
     """
     if texts and set(cameras) <= set(known):
         raise ValueError(f"--prior {texts[0]}: every camera is held by --camera")
@@ -331,11 +316,7 @@ def _aspects_of(cameras: Sequence[str]) -> list[str]:
 
 
 def parse_transforms(texts: Sequence[str], mount: str) -> "dict[str, SE3]":
-    """Return rough transforms by name from NAME=x,y,z,yaw,pitch,roll (m, degrees).
-
-    Raises:
-        ValueError: a text without a name, or a transform that the mount does not have.
-    """
+    """Return rough transforms by name from NAME=x,y,z,yaw,pitch,roll (m, degrees)."""
     names, transforms = sv.calibration.chain_transform_names(mount), {}
     for text in texts:
         name, _, pose = text.partition("=")

@@ -220,9 +220,6 @@ def parse_numbers(option: str, text: str, count: int, form: str) -> tuple[float,
         text: the text given, such as `0.1,0,0.2`.
         count: how many numbers there have to be.
         form: their names and unit, such as `x,y,z (m)`, for the error message.
-
-    Raises:
-        ValueError: another count, or a word that is not a finite number.
     """
     words = text.strip().removeprefix("(").removesuffix(")").split(",")
     try:

@@ -12,12 +12,7 @@ from .terminal import print_lines, progress_line
 
 
 def is_rig_plan(paths: Sequence[Path], first: bool) -> bool:
-    """Return whether the next states of a robot with several cameras are to be planned.
-
-    Raises:
-        ValueError: a folder with several cameras, but not what `calibrate` wrote for it, or for the
-            first views.
-    """
+    """Return whether the next states of a robot with several cameras are to be planned."""
     if not (paths[-1].is_dir() and sv.io.is_rig_folder(paths[-1])):
         return False
     if first:
@@ -82,11 +77,7 @@ def plan_rig(
 
 
 def _arm_of(rig: "sv.Rig", estimate: "sv.joint.RigEstimate", paths: Sequence[Path]) -> str:
-    """Return the arm of the calibrated cameras.
-
-    Raises:
-        ValueError: they are not the cameras of one arm of the data.
-    """
+    """Return the arm of the calibrated cameras."""
     for arm in rig.arm_names:
         if set(rig.of_arm(arm).cameras) == set(estimate.calibrations):
             return arm

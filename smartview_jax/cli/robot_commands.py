@@ -36,12 +36,7 @@ class RobotOptions:
         return sv.geometry.pose_codec(self.pose_format)
 
     def refuse_unusable(self) -> None:
-        """Refuse a wrong option before anything is computed.
-
-        Raises:
-            ValueError: no pose format has such a name.
-            OSError: the file of `--out` could not be written.
-        """
+        """Refuse a wrong option before anything is computed."""
         if self.out is not None:
             refuse_unwritable(self.out.parent, "--out")
         _ = self.codec
@@ -81,9 +76,6 @@ class CommandSheet(NamedTuple):
         Args:
             say: prints further text after the table.
             content: further entries of the document.
-
-        Raises:
-            ValueError: a command is unsafe; the table was printed, no file was written.
         """
         if not json:
             self.print()

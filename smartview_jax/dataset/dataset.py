@@ -442,10 +442,6 @@ def _mask_reasons(
 
     Args:
         given: reasons of the caller, which take precedence.
-
-    Raises:
-        ValueError: a reason for a view that does not exist; or, unless masked, views with wrong
-            values, which are all named.
     """
     unknown = set(given) - set(ids)
     if unknown:

@@ -304,12 +304,7 @@ def _checked_targets(
     targets: Mapping[str, str] | None,
     arms: Mapping[str, str],
 ) -> dict[str, str]:
-    """Return the name of each camera's target.
-
-    Raises:
-        ValueError: a camera without a target or the reverse, a target at two places, or arms
-            without a target in common.
-    """
+    """Return the name of each camera's target."""
     if targets is None:
         targets = _default_targets(cameras, arms)
     require_each_camera("targets", cameras, targets)
@@ -385,11 +380,7 @@ def _default_targets(cameras: Mapping[str, Dataset], arms: Mapping[str, str]) ->
 
 
 def _common_arm(cameras: Mapping[str, Dataset]) -> SerialArm | None:
-    """Return the arm of all data sets; None if one of them has none.
-
-    Raises:
-        ValueError: the arms differ.
-    """
+    """Return the arm of all data sets; None if one of them has none."""
     arms = [data.arm for data in cameras.values()]
     known = [arm for arm in arms if arm is not None]
     if len(known) < len(arms):

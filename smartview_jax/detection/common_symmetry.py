@@ -58,9 +58,6 @@ def choose_common_symmetry(
         rough_rotation: approximate rotation of `holder_from_world`. If None, the symmetry is chosen
             for which the target's x axis is nearest to the holder's; its z axis is the same for
             all.
-
-    Raises:
-        ValueError: the rough pose and the target have different z axes.
     """
     count = len(symmetries)
     alike = f"the target's pattern looks the same in {count} orders of its points"

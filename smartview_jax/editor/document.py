@@ -139,11 +139,7 @@ class Document:
 
 
 def part_id(given: Any) -> int:
-    """Return the id of a part, a whole number.
-
-    Raises:
-        ValueError: a text, `True` or 0.7, which `int` would accept.
-    """
+    """Return the id of a part, a whole number."""
     # The journal holds plain numbers, scripts may give NumPy's.
     if isinstance(given, bool):
         raise ValueError(f"a part is named by a whole number; found {given!r}")
@@ -167,9 +163,6 @@ def apply_change(document: Document, change: Mapping[str, Any]) -> Document:
 
     Args:
         change: `{"do": name, ...}` with the arguments of the named change.
-
-    Raises:
-        ValueError: an unknown change, a missing or unknown argument, or a part that does not exist.
     """
     content = dict(change)
     name = content.pop("do", None)

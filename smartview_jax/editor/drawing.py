@@ -96,11 +96,7 @@ class AbstractDrawing(abc.ABC):
         return self._add({"do": "add_edge", "ends": [a, b]})
 
     def add_face(self, loop: Sequence[int], name: str = "", graspable: bool | None = None) -> int:
-        """Add a face around points, and return its id; its normal points to the cameras.
-
-        Raises:
-            ValueError: a point has no position, or the face is not planar or intersects itself.
-        """
+        """Add a face around points, and return its id; its normal points to the cameras."""
         # The oriented loop is journalled, so that replaying needs no geometry.
         outward = checked_loop(loop, self.document, self.estimates(), self.geometry)
         return self._add(
@@ -143,9 +139,6 @@ class AbstractDrawing(abc.ABC):
             items: the ids of the points, in one group; or the two ends of each edge.
             value: the known length, m.
             sigma: standard deviation of the fact, m or rad; None if it is exact.
-
-        Raises:
-            ValueError: an unknown kind, a wrong number of points or edges, or a missing length.
         """
         groups = [list(group) for group in items]
         return self._add(

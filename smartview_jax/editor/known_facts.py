@@ -97,9 +97,6 @@ def constraint_of(fact: DrawnConstraint, number: Mapping[int, int]) -> AbstractC
 
     Args:
         number: number of the vertex by the id of the point.
-
-    Raises:
-        ValueError: an unknown kind, or a wrong number of points or edges.
     """
     kind = FACT_KINDS.get(fact.kind)
     if kind is None:

@@ -87,11 +87,7 @@ def build_model(
 
 
 def placed_grasp(model: ObjectModel, face: int, grasp: PlacedGrasp) -> Grasp:
-    """Return the grasp that is placed on a face of a model.
-
-    Raises:
-        ValueError: it is not on the face, or the fingers do not open wide enough.
-    """
+    """Return the grasp that is placed on a face of a model."""
     plane = face_plane(model.vertices, model.faces[face])
     x, y = plane.axes[:2]
     return grasp_on_face(
@@ -183,12 +179,7 @@ def _grasp_problem(document: Document, estimates: Estimates, grasp: PlacedGrasp)
 def checked_loop(
     loop: Sequence[int], document: Document, estimates: Estimates, geometry: ViewGeometry
 ) -> tuple[int, ...]:
-    """Return a face's loop, oriented so that its normal points to the cameras that saw it.
-
-    Raises:
-        ValueError: a point does not exist or has no position, or the face is not planar or
-            intersects itself.
-    """
+    """Return a face's loop, oriented so that its normal points to the cameras that saw it."""
     points = document.existing_points(loop)
     if len(points) < 3:
         raise ValueError(f"a face needs 3 or more points, found {list(points)}")

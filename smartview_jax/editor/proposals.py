@@ -55,11 +55,7 @@ class Proposals:
                 self._made[k] = known
 
     def accepted(self, numbers: Sequence[int], document: Document) -> dict[str, Any]:
-        """Return the change that adds points, and the edges that are then between existing points.
-
-        Raises:
-            ValueError: a number is not offered.
-        """
+        """Return the change that adds points, and the edges between points that then exist."""
         changes: list[dict[str, Any]] = []
         # Ids are given in order, so the ids of the new points are known in advance.
         made, next_id = dict(self._made), document.next_id

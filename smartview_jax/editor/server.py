@@ -47,9 +47,6 @@ def editor_app(session: ModelSession, token: str, port: int) -> Any:
     Args:
         token: the token that the first request must have.
         port: port of the server, part of the accepted origin.
-
-    Raises:
-        ImportError: starlette is not installed.
     """
     import_extra("starlette", "editor", "the editor's page")
     from starlette.applications import Starlette

@@ -245,9 +245,6 @@ class ViewGeometry:
         """Return the estimates of points under constraints, their refinement, and the verdicts.
 
         The constraints are judged by clicks that are as accurate as stated.
-
-        Raises:
-            ValueError: an invalid constraint.
         """
         pixels, alone = self._clicked_pixels(points), self.estimates(points)
         widening = np.array([estimate.widening for estimate in alone])

@@ -18,10 +18,6 @@ def grey_levels(picture: np.ndarray, camera: Camera) -> Float[np.ndarray, "rows 
 
     Args:
         picture: uint8, grey `(rows, columns)` or BGR `(rows, columns, 3)`.
-
-    Raises:
-        ValueError: the array is empty, of another type or of another size than the camera's
-            pictures; or the picture is blank, over-exposed or under-exposed.
     """
     if not isinstance(picture, np.ndarray) or picture.size == 0:
         raise ValueError("picture: expected an array of grey levels, found nothing")

@@ -291,9 +291,6 @@ def _process_pool(count: int, optimise: bool) -> ProcessPoolExecutor:
 
     Args:
         optimise: whether they optimise the programs of small data sets.
-
-    Raises:
-        RuntimeError: the processes do not start.
     """
     settings = {name: jax.config.values[name] for name in _SHARED_SETTINGS}
     # A forked process would have locks of JAX's threads, but not the threads that release them.

@@ -133,9 +133,6 @@ def candidate_grasps(model: ObjectModel, gripper: Gripper) -> list[Candidate]:
     """Return all candidates of a model: its grasps, repeated by symmetry and by half a turn.
 
     A model without grasps gets `suggested_grasps`.
-
-    Raises:
-        ValueError: the model has neither grasps nor faces.
     """
     # Grasps that a person placed are preferred to suggested ones.
     grasps = model.grasps or suggested_grasps(model, gripper)

@@ -62,12 +62,7 @@ class PlacedObject(NamedTuple):
 def checked_object(
     localized: LocalizedObject,
 ) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "6 6"]]:
-    """Return pose and covariance of an object.
-
-    Raises:
-        ValueError: the pose is in the base frame or not rigid, or the covariance is not finite,
-            symmetric and positive semidefinite; the message names the object.
-    """
+    """Return pose and covariance of an object."""
     name = localized.model.name or "without a name"
     if getattr(localized, "frame", "world") != "world":
         raise ValueError(

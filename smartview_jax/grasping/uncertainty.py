@@ -44,11 +44,7 @@ class GripperErrors(NamedTuple):
 def gripper_errors(
     scene: GraspScene, gripper: Gripper, command: Command
 ) -> tuple[GripperErrors, ...]:
-    """Return the uncertainty of the gripper's pose at commands `(n)`.
-
-    Raises:
-        ValueError: the scene's estimate is of another calibration, or leaves numbers undetermined.
-    """
+    """Return the uncertainty of the gripper's pose at commands `(n)`."""
     count = len(command.base_from_tool.wxyz_xyz)
     if scene.estimate is None:
         nothing = GripperErrors(np.zeros((6, 0)), np.zeros((6, 0)), np.zeros((0, 0)), ())

@@ -43,9 +43,6 @@ class Table:
 
         Args:
             content: what the rows have, for the error that there are none; empty accepts no rows.
-
-        Raises:
-            ValueError: a view has more than one row, or there are no rows.
         """
         views = [row[VIEW_COLUMN] for row in self.rows]
         if repeated := duplicates(views):
@@ -58,9 +55,6 @@ class Table:
         """Return the table with further required columns under their names, as `read_table` does.
 
         For columns that are known to be required only after the table was read.
-
-        Raises:
-            ValueError: a required column is missing.
         """
         header, missing = _named(self.written_header, required, units)
         if missing:
@@ -88,12 +82,6 @@ def read_table(path: Path, required: Sequence[str], units: Collection[str] = ("s
     Args:
         required: names of columns that the table must have.
         units: units that a required column may have in its name, such as `time_s` for `time`.
-
-    Raises:
-        FileNotFoundError: the file is missing.
-        ValueError: it is not a CSV text, a required column is missing, a column occurs twice, a
-            row has more or fewer fields than the header, a view's name is invalid, or numbers are
-            ambiguous.
     """
     text = read_table_text(path, lambda header: _named(header, required, units)[1] == [])
     rows = [dict(zip(text.header, fields, strict=True)) for fields in text.rows]
@@ -177,9 +165,6 @@ def parse_numbers(
 
     Args:
         require_finite: whether to refuse NaN and infinity; False if the caller can mask the view.
-
-    Raises:
-        ValueError: a field is not a number; the message names the file, the view and the column.
     """
     values = np.empty(len(columns))
     for k, column in enumerate(columns):
@@ -218,9 +203,6 @@ def write_table(
 
     Args:
         comments: lines to write at the end, which readers ignore.
-
-    Raises:
-        ValueError: the file could not be read back with a view's name; nothing is written.
     """
     if VIEW_COLUMN in header:
         column = list(header).index(VIEW_COLUMN)
@@ -236,11 +218,7 @@ def write_view_table(
     columns: Sequence[str],
     numbers: Float[np.ndarray, "views numbers"],
 ) -> None:
-    """Write a CSV file with a row of numbers for each view, completely or not at all.
-
-    Raises:
-        ValueError: the file could not be read back with a view's name; nothing is written.
-    """
+    """Write a CSV file with a row of numbers for each view, completely or not at all."""
     rows = [(view, *map(float, row)) for view, row in zip(view_ids, numbers, strict=True)]
     write_table(path, (VIEW_COLUMN, *columns), rows)
 

@@ -280,9 +280,6 @@ def described_target(data: Dataset, owner: str) -> AbstractTarget:
 
     Args:
         owner: name of the data set for error messages, such as "camera 'left'".
-
-    Raises:
-        ValueError: the points are not the target's, or without a target they differ between views.
     """
     points, target = np.asarray(data.points), data.target
     if target is None:
@@ -365,9 +362,6 @@ def write_described_folder(
 
     Args:
         poses: view ids and reported poses of each table, by its name.
-
-    Raises:
-        ValueError: a name or a value with which the folder could not be read back.
     """
     description = marked_entries(entries)
     schema = schemas.RIG_SCHEMA if "cameras" in description else schemas.DATASET_SCHEMA

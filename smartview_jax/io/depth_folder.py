@@ -63,11 +63,6 @@ def read_measured_points(
 
     Returns:
         The points in the sensor's frame; NaN where not measured.
-
-    Raises:
-        FileNotFoundError: the file is missing.
-        ValueError: another format or number of points, a text that is no number, or a point behind
-            the sensor; the message names the file and the point.
     """
     path = Path(path)
     if not path.is_file():
@@ -134,10 +129,6 @@ def read_points_folder(described: DescribedFolder, options: LoadOptions) -> Pose
 
     Args:
         described: a folder with an entry `measured_points`.
-
-    Raises:
-        ValueError: a wrong entry or file, or points that do not belong to the target.
-        FileNotFoundError: a file is missing.
     """
     content = described.content
     with errors_at(described.path):
@@ -165,10 +156,6 @@ def read_depth_pictures(
 
     Args:
         described: a folder with an entry `depth_pictures`.
-
-    Raises:
-        ValueError: a wrong picture, or depths that do not belong to the target.
-        FileNotFoundError: a picture is missing.
     """
     entry = described.content["depth_pictures"]
     files = picture_files(described, entry["pattern"], readings.view_ids, data.target)

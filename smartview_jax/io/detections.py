@@ -92,11 +92,6 @@ def read_detections(
 
     Args:
         stated_rows: number of rows that the description states; None if it states none.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: a view without a pose, a point that the target does not have or that a view
-            has twice, a pixel that is not a number, or missing rows.
     """
     table = read_table(path, _COLUMNS, ())
     refuse_truncated(path, table.rows, stated_rows)
@@ -113,9 +108,6 @@ def read_kept_detections(
     Args:
         path: of the file, which may be missing.
         view_ids: ids of the views to read; rows of others are ignored.
-
-    Raises:
-        ValueError: the file is not a table of detections, or has a wrong value.
     """
     if not path.is_file():
         return {}
@@ -185,10 +177,6 @@ def values_of_points(
 
     Returns:
         The numbers; NaN where a point has no row.
-
-    Raises:
-        ValueError: a view without a pose, a point that the target does not have or that a view has
-            twice, or a field that is not a number; the message names the file and the view.
     """
     index = {view: k for k, view in enumerate(view_ids)}
     values = np.full((len(view_ids), point_count, len(columns)), np.nan)

@@ -48,12 +48,7 @@ class DescribedFolder(NamedTuple):
 
     @classmethod
     def of(cls, folder: str | os.PathLike[str], file: str = DESCRIPTION_FILE) -> "DescribedFolder":
-        """Read the description of a folder, which is not validated yet.
-
-        Raises:
-            FileNotFoundError: the folder has no such file, or is a file itself.
-            ValueError: the file is not readable.
-        """
+        """Read the description of a folder, which is not validated yet."""
         path = Path(folder) / file
         if path.parent.is_file():
             raise FileNotFoundError(f"{folder}: is a file, expected the folder of a data set")
@@ -65,11 +60,7 @@ class DescribedFolder(NamedTuple):
     def validated(
         self, schema: "schemas.Schema[schemas.Content]"
     ) -> "tuple[DescribedFolder, schemas.Content]":
-        """Return the folder without entries that are null, and its description as its type.
-
-        Raises:
-            ValueError: the content does not fit; the message names the file and the entry.
-        """
+        """Return the folder without entries that are null, and its description as its type."""
         description = schemas.validate_content(self.content, schema, self.path)
         content = {key: value for key, value in self.content.items() if value is not None}
         return self._replace(content=content), description
@@ -79,9 +70,6 @@ class DescribedFolder(NamedTuple):
 
         Args:
             otherwise: end of the message for several cameras, with what is to be done.
-
-        Raises:
-            ValueError: the folder has several cameras, or the content does not fit.
         """
         if self.is_rig:
             raise ValueError(
@@ -143,11 +131,7 @@ def read_folder_description(folder: str | Path) -> FolderDescription:
 def described_camera(
     described: DescribedFolder, description: "schemas.DatasetFile"
 ) -> FolderDescription:
-    """Return the description of the camera of a folder with pictures.
-
-    Raises:
-        ValueError: a wrong target or rough pose; the message names the file.
-    """
+    """Return the description of the camera of a folder with pictures."""
     assert description.camera is not None
     width, height = description.camera.image_size
     with errors_at(described.path):

@@ -116,9 +116,6 @@ def numbered_pictures(
 
     Args:
         pattern: file name with `{view}`, formatted by the number.
-
-    Raises:
-        ValueError: a pattern without `{view}`, or pictures without a pose.
     """
     if "{view" not in pattern:
         raise ValueError(f"pictures: expected a name with {{view}} in it, found {pattern!r}")
@@ -189,10 +186,6 @@ def read_board_heights(
             of another format, which has no further columns.
         target: only a `StackedTarget` has several heights.
         suffix: suffix of the names in the table that the ids do not have.
-
-    Raises:
-        ValueError: a row whose height is not an index of the target's heights; names file and
-            view.
     """
     if not isinstance(target, StackedTarget) or table is None:
         return None

@@ -59,10 +59,6 @@ def read_joints(described: DescribedFolder, view_ids: Sequence[str] | None) -> R
     Args:
         described: a folder with an entry `joints`, as `schemas.dataset` defines it.
         view_ids: view ids in the order wanted; None keeps the order of the file.
-
-    Raises:
-        ValueError: naming the file and the entry or view that is wrong.
-        FileNotFoundError: the table is missing.
     """
     content = described.content["joints"]
     arm = _arm_from_entry(content.get("arm"), described.path)

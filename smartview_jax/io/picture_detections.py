@@ -59,13 +59,7 @@ def detect_views(
     options: LoadOptions,
     cache: Path | None = None,
 ) -> tuple[dict[str, Detection], tuple[int, int]]:
-    """Detect the target in every view, and return the detections and the pictures' size, px.
-
-    Raises:
-        FileNotFoundError: a picture is missing and views are not masked, or all are missing.
-        ValueError: a picture is unreadable or has a wrong size and views are not masked, or all
-            are.
-    """
+    """Detect the target in every view, and return the detections and the pictures' size, px."""
     report_progress = options.progress or (lambda _: None)
     limits, target = options.detection_limits or DetectionLimits(), shown.target
     _refuse_missing(pictures, options.bad_views == "mask")
@@ -187,12 +181,7 @@ def _refuse_missing(pictures: Mapping[str, Sequence[Path]], masked: bool) -> Non
 def _checked_size(
     pictures: Mapping[str, Sequence[Path]], stated: tuple[int, int] | None
 ) -> tuple[int, int]:
-    """Return the stated size of the pictures, or the first picture's if none is stated.
-
-    Raises:
-        ValueError: no picture can be read, or none has the stated size, so that the description
-            is wrong.
-    """
+    """Return the stated size of the pictures, or the first picture's if none is stated."""
     first_error: Exception | None = None
     other_sizes: list[tuple[int, int]] = []
     for path in (path for paths in pictures.values() for path in paths):

@@ -45,10 +45,6 @@ def with_folder_depths(
 
     Args:
         table: name of the table of depths in the folder.
-
-    Raises:
-        ValueError: a wrong picture or table, or depths that do not belong to the target.
-        FileNotFoundError: a file is missing.
     """
     content, notes = described.content, ()
     if "depth_pictures" in content:

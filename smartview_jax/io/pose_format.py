@@ -79,11 +79,7 @@ def pose_columns(codec: PoseCodec, units: tuple[str, str] | None = None) -> tupl
 
 
 def codec_of_rows(path: Path, rows: Sequence[Mapping[str, str]]) -> PoseCodec | None:
-    """Return the codec that the column `format` names, or None where there is no such column.
-
-    Raises:
-        ValueError: an unknown format, or more than one.
-    """
+    """Return the codec that the column `format` names, or None where there is no such column."""
     names = sorted({row[FORMAT_COLUMN] for row in rows if FORMAT_COLUMN in row})
     if len(names) > 1:
         raise ValueError(f"{path}: format: expected one for all views, found {', '.join(names)}")
@@ -103,9 +99,6 @@ def table_format(
         rows: of the table, by column; at least one.
         stated: the description's entry, whose keys `codec`, `length_unit`, `angle_unit` and
             `direction` may be missing where the header says the same.
-
-    Raises:
-        ValueError: header and description are incomplete or contradict each other.
     """
     # The column `format` decides first, then the units in the header, then the description.
     named = codec_of_rows(path, rows)
@@ -148,11 +141,7 @@ def header_formats(header: Sequence[str], named: PoseCodec | None = None) -> lis
 
 
 def stated_format(read_format: PoseFormat, stated: Mapping[str, Any], path: Path) -> PoseFormat:
-    """Return the format of a file that states it; raise if a description contradicts it.
-
-    Raises:
-        ValueError: the description contradicts the file.
-    """
+    """Return the format of a file that states it; raise if a description contradicts it."""
     problem = _contradiction(read_format, stated)
     if problem is not None:
         raise ValueError(f"{path}: {problem}")
@@ -166,9 +155,6 @@ def decoded_poses(
 
     Args:
         rows: numbers in the codec's order.
-
-    Raises:
-        ValueError: a row is not a pose.
     """
     with errors_at(path):
         poses = form.codec.decode(rows, *form.units, labels=labels)
@@ -210,11 +196,7 @@ def _contradiction(read_format: PoseFormat, stated: Mapping[str, Any]) -> str | 
 
 
 def _stated_format(path: Path, stated: Mapping[str, Any], entry: str) -> PoseFormat:
-    """Return the format that a description states without help of the header.
-
-    Raises:
-        ValueError: something is not stated.
-    """
+    """Return the format that a description states without help of the header."""
     missing = [key for key in _STATED if stated.get(key) is None]
     if missing:
         raise ValueError(

@@ -104,12 +104,7 @@ class PoseLog(NamedTuple):
 
 
 def read_pose_log(folder: Path, content: Mapping[str, Any]) -> PoseLog:
-    """Read the two tables of an entry `poses` with `picture_times`.
-
-    Raises:
-        FileNotFoundError: a table is missing.
-        ValueError: something is wrong in it; the message names the file and the row or view.
-    """
+    """Read the two tables of an entry `poses` with `picture_times`."""
     path, times_path = folder / content["file"], folder / content["picture_times"]
     table = read_table(path, ("time",))
     refuse_truncated(path, table.rows, content.get("rows"))
@@ -200,9 +195,6 @@ def _in_order(
 
     Recorders that merge several topics write rows late and repeat them. The time is the first
     column.
-
-    Raises:
-        ValueError: two poses at one time.
     """
     notes = []
     if (np.diff(numbers[:, 0]) < 0.0).any():

@@ -94,10 +94,6 @@ def read_poses(
     Args:
         content: the entry of the table, as `schemas.dataset` defines `poses`.
         bad_views: `"mask"` to mask views whose row is not a valid pose, `"raise"` to raise.
-
-    Raises:
-        ValueError: a wrong value; the message names the file and the view.
-        FileNotFoundError: the table is missing.
     """
     path = folder / content["file"]
     if path.suffix == ".json":

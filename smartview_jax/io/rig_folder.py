@@ -203,9 +203,6 @@ def _views_of_camera(
         readings: what the robot reported, in all states.
         robot: description of its tables.
         pattern: of the camera's pictures; empty where only detections are known.
-
-    Raises:
-        FileNotFoundError: the camera has no picture.
     """
     if not pattern:
         readings = readings.of_views(_detected_views(camera, readings))
@@ -360,12 +357,7 @@ def _states(rig: Rig, arm: str) -> dict[str, Float[np.ndarray, "4 4"]]:
 
 
 def _described_targets(rig: Rig) -> dict[str, AbstractTarget]:
-    """Return the targets by name.
-
-    Raises:
-        ValueError: points that are not the target's, or cameras that describe one target
-            differently.
-    """
+    """Return the targets by name."""
     targets: dict[str, AbstractTarget] = {}
     # The target of listed points may be described by another camera.
     for name, data in sorted(rig.cameras.items(), key=lambda item: item[1].target is None):

@@ -14,10 +14,6 @@ def read_robot_readings(described: DescribedFolder, bad_views: str) -> RobotRead
 
     Args:
         bad_views: `"mask"` to mask views whose row is not a valid pose, `"raise"` to raise.
-
-    Raises:
-        ValueError: a wrong entry or view; the message names it and the file.
-        FileNotFoundError: a table is missing.
     """
     readings = _read_tables(described, bad_views)
     suffix = suffix_in_names(described, readings.view_ids)
@@ -34,12 +30,7 @@ def read_robot_readings(described: DescribedFolder, bad_views: str) -> RobotRead
 
 
 def read_sound_readings(described: DescribedFolder) -> RobotReadings:
-    """Read the tables of a description, all of whose views must have a valid pose.
-
-    Raises:
-        ValueError: a wrong entry or view; the message names it and the file.
-        FileNotFoundError: a table is missing.
-    """
+    """Read the tables of a description, all of whose views must have a valid pose."""
     readings = read_robot_readings(described, "raise")
     for view, reason in readings.masked_views.items():
         raise ValueError(f"{described.view_table}: view {view}: {reason}: remove this view")

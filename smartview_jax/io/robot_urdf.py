@@ -86,9 +86,6 @@ def actual_arm(calibration: Calibration, arm: SerialArm | None = None) -> Serial
 
     Args:
         arm: the arm of a calibration without robot error.
-
-    Raises:
-        ValueError: no arm is known, or the robot error is of a kind that no URDF has.
     """
     error = calibration.robot_error
     if error is None:

@@ -85,12 +85,7 @@ class NumberRows(NamedTuple):
 
 
 def decoded_lines(path: Path) -> tuple[list[str], str]:
-    """Return the lines of a table's file, and the name of its encoding unless it is UTF-8.
-
-    Raises:
-        FileNotFoundError: the file is missing.
-        ValueError: it is not a text; the message says how to save it.
-    """
+    """Return the lines of a table's file, and the name of its encoding unless it is UTF-8."""
     require_file(path)
     content = path.read_bytes()
     marked = next((e for mark, e in _BYTE_ORDER_MARKS.items() if content.startswith(mark)), None)
@@ -113,10 +108,6 @@ def read_table_text(path: Path, is_header: Callable[[Sequence[str]], bool]) -> T
     Args:
         is_header: function that returns whether the column names are those that the caller
             needs; it decides between separators.
-
-    Raises:
-        FileNotFoundError: the file is missing.
-        ValueError: it is not a table, or is ambiguous; the message says what to change.
     """
     lines, encoding = decoded_lines(path)
     seen = [f"in the encoding {encoding}"] if encoding else []
@@ -157,12 +148,7 @@ def read_table_text(path: Path, is_header: Callable[[Sequence[str]], bool]) -> T
 
 
 def read_number_rows(path: Path, count: int) -> NumberRows:
-    """Read rows of `count` numbers each, separated by blanks, tabs, commas or semicolons.
-
-    Raises:
-        FileNotFoundError: the file is missing.
-        ValueError: a row with a wrong number of fields, named by its line, or ambiguous numbers.
-    """
+    """Read rows of `count` numbers each, separated by blanks, tabs, commas or semicolons."""
     lines, encoding = decoded_lines(path)
     texts = {number: line.split("#")[0].strip() for number, line in enumerate(lines, start=1)}
     texts = {number: text for number, text in texts.items() if text}
@@ -185,11 +171,7 @@ def read_number_rows(path: Path, count: int) -> NumberRows:
 
 
 def _plain_numbers(path: Path, rows: list[list[str]]) -> tuple[list[list[str]], tuple[str, ...]]:
-    """Return fields with numbers as Python writes them, and notes on what was changed.
-
-    Raises:
-        ValueError: a comma or point is ambiguous; the message says what to change.
-    """
+    """Return fields with numbers as Python writes them, and notes on what was changed."""
     seen: list[str] = []
     given = [field for row in rows for field in row]
 
@@ -299,9 +281,6 @@ def _has_decimal_commas(path: Path, fields: Sequence[tuple[str, str]]) -> bool:
 
     Args:
         fields: each field without unambiguous thousands separators, and as given.
-
-    Raises:
-        ValueError: a comma may separate thousands, or some numbers have decimal points.
     """
 
     def fitting(pattern: re.Pattern[str], mark: str) -> list[tuple[str, str]]:

@@ -48,10 +48,6 @@ def repaired_triangles(
     Args:
         vertices: m.
         triangles: in any order of their corners.
-
-    Raises:
-        ValueError: there are no triangles with an area, a coordinate is not finite, or a triangle
-            has a vertex that does not exist.
     """
     if not len(triangles):
         raise ValueError("the mesh has no triangles")

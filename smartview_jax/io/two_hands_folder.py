@@ -16,9 +16,6 @@ def with_other_hand(data: Dataset, other: RobotReadings, table: Path) -> Dataset
     Args:
         data: as of a camera on a hand that sees a target on the table.
         other: what the arm that carries the target reported, in these views and perhaps in others.
-
-    Raises:
-        ValueError: a wrong value, or a view without a pose; the message names the table.
     """
     place = {view: k for k, view in enumerate(other.view_ids)}
     if missing := [view for view in data.view_ids if view not in place]:

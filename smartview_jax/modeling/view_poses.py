@@ -59,12 +59,7 @@ def as_checked_command(poses: CommandLike, names: Sequence[str] | None = None) -
 
 
 def as_rigid_command(poses: CommandLike, names: Sequence[str] | None = None) -> Command:
-    """Return poses of views, out of reach or not, as a command of host arrays.
-
-    Raises:
-        ValueError: a pose that is not rigid, with the view; poses without one batch axis, or not
-            one for each view; or joint readings for another number of views.
-    """
+    """Return poses of views, out of reach or not, as a command of host arrays."""
     reported, joints = poses, None
     if isinstance(poses, Command):
         reported, joints = poses.base_from_tool, poses.joints
@@ -255,10 +250,6 @@ class SeenViews(NamedTuple):
         Args:
             pixels: `(views, points, 2)`, or `(views, segments, 2, 2)` for the ends of segments.
             visible: where they are visible; by default wherever the pixels are finite.
-
-        Raises:
-            ValueError: wrong numbers of views or features, or a visible pixel that is not finite or
-                is outside the picture, with the view and the feature.
         """
         image_sizes = self.image_sizes
         if len(pixels) != len(image_sizes):
@@ -297,9 +288,6 @@ def checked_sigma(
         pixel_sigma: as in `triangulate_points` and `triangulate_lines`.
         shape: numbers of views and features.
         covariance: the further axes where covariances are given.
-
-    Raises:
-        ValueError: another shape, or standard deviations that are not positive.
     """
     sigma = np.asarray(pixel_sigma, dtype=float)
     if sigma.shape not in ((), shape, (*shape, *covariance)):
@@ -322,9 +310,6 @@ def whitening_of(
             features)`; or covariances `(views, features, 2, 2)`, px^2.
         shape: numbers of views and features; the result is broadcast to it only if `pixel_sigma`
             differs between observations.
-
-    Raises:
-        ValueError: a wrong shape, or values that are not positive.
     """
     sigma = checked_sigma(pixel_sigma, shape, (2, 2))
     # Equal and independent errors of u and v are a multiple of the identity.

@@ -116,12 +116,7 @@ class BagContent(NamedTuple):
 def read_content(
     bag: Bag, sources: BagSources, progress: Callable[[str], None] | None = None
 ) -> BagContent:
-    """Read everything but the pictures.
-
-    Raises:
-        ValueError: a topic or frame is missing, or a message is wrong; the message names the bag,
-            and lists the topics, frames or names that there are.
-    """
+    """Read everything but the pictures."""
     reader = _ContentReader(bag, sources)
     topics = reader.topics()
     for message in bag.messages(topics, "reading", progress):

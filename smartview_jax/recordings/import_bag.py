@@ -179,9 +179,6 @@ class _Import:
         Args:
             views: names of the views by the time of their picture, ns.
             until: time of recording before which all of them were recorded, ns.
-
-        Raises:
-            ValueError: a picture is not readable, or differs in size or kind from the first.
         """
         first: PictureFile | None = None
         missing = dict(views)

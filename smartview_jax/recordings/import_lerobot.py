@@ -286,9 +286,6 @@ def refuse_percentages(where: str, readings: Float[np.ndarray, "frames joints"])
 
     Reference: MotorsBus._normalize in https://github.com/huggingface/lerobot
     (motors/motors_bus.py).
-
-    Raises:
-        ValueError: two or more joints have the steps of percentages.
     """
     counts = [_steps_of_range(column) for column in readings.T]
     if len({count for count in counts if count}) < 2:

@@ -90,10 +90,6 @@ def target_text(target: AbstractTarget | str | Path) -> TargetText:
     Args:
         target: a target; or the name of a kind, such as `"charuco"`; or a file: a `dataset.yaml`
             (or only its entry `target`), or the `target.yaml` of Kalibr.
-
-    Raises:
-        FileNotFoundError: neither a kind nor a file.
-        ValueError: the file has no target, or a wrong one.
     """
     if isinstance(target, AbstractTarget):
         return _text_of(target)

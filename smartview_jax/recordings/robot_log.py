@@ -97,11 +97,7 @@ class JointRecord:
         self._readings.extend(float(message.position[names.index(name)]) for name in self._names)
 
     def finished(self) -> JointLog:
-        """Return the readings in the order of time.
-
-        Raises:
-            ValueError: no message has all joints; the message lists the joints there are.
-        """
+        """Return the readings in the order of time."""
         if not self._stamps:
             raise ValueError(
                 f"no message has positions of the joints {', '.join(self._names)}; there are "

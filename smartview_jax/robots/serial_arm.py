@@ -144,12 +144,7 @@ def _as_jax_array(numbers: Sequence[Any] | np.ndarray | Array) -> Float[Array, "
 def _checked_limits(
     limits: Sequence[Sequence[float]] | np.ndarray | Array | None, joints: int
 ) -> Float[Array, "joints 2"]:
-    """Return the joint limits as an array, infinite by default.
-
-    Raises:
-        ValueError: the shape is wrong, or a lower limit is not below the upper one; the message
-            counts joints from one.
-    """
+    """Return the joint limits as an array, infinite by default."""
     if limits is None:
         return jax.device_put(np.tile([-np.inf, np.inf], (joints, 1)))
     if np.shape(limits) != (joints, 2):

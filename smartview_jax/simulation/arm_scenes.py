@@ -161,9 +161,6 @@ def joints_near_home(arm: SerialArm, base_from_tool: SE3) -> Float[Array, "views
 
     Args:
         arm: an arm of six joints.
-
-    Raises:
-        RuntimeError: the arm does not reach a view.
     """
     # The program takes seconds to compile; padded, it is the same for scenes of all usual sizes.
     near = np.tile(HOME_JOINTS, (len(base_from_tool.wxyz_xyz), 1))

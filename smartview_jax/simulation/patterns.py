@@ -23,9 +23,6 @@ def printed_pattern(target: AbstractTarget) -> Pattern:
 
     Circles of unknown radius have a quarter of the distance to their nearest neighbour; the
     background of light circles is dark everywhere.
-
-    Raises:
-        ValueError: the pattern of the target is unknown.
     """
     if isinstance(target, CircleGrid):
         return _circle_pattern(target)

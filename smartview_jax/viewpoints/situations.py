@@ -96,11 +96,7 @@ def situation_of_estimate(
 def views_near_calibrated(
     calibration: Calibration, points: Float[np.ndarray, "points 3"], limits: ViewLimits
 ) -> ViewRange:
-    """Return the range of new views of a camera, which stay near the calibrated ones.
-
-    Raises:
-        ValueError: the calibration states no region, which files of earlier versions lack.
-    """
+    """Return the range of new views of a camera, which stay near the calibrated ones."""
     region = calibration.region
     if region is None:
         raise ValueError("region: missing; calibrate again to add it")

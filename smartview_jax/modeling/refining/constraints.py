@@ -278,11 +278,7 @@ class Symmetric(AbstractConstraint):
 def check_edges(
     constraints: Sequence[AbstractConstraint], points: Float[np.ndarray, "points 3"]
 ) -> None:
-    """Raise if an edge of a constraint has no length and so no direction.
-
-    Raises:
-        ValueError: naming the constraint and the vertices.
-    """
+    """Raise if an edge of a constraint has no length and so no direction."""
     for constraint in constraints:
         for edge in constraint.edges:
             # Later steps are small compared with any edge that has a length, so this check is
@@ -294,11 +290,7 @@ def check_edges(
 def check_constraints(
     constraints: Sequence[AbstractConstraint], point_count: int, line_count: int
 ) -> None:
-    """Raise if a constraint names a vertex or a line that does not exist.
-
-    Raises:
-        ValueError: naming the constraint and the index.
-    """
+    """Raise if a constraint names a vertex or a line that does not exist."""
     for constraint in constraints:
         for kind, indices, count in (
             ("vertex", constraint.vertices, point_count),
