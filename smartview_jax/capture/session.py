@@ -32,7 +32,6 @@ class Look(NamedTuple):
     """The present picture and pose.
 
     Attributes:
-        picture: the picture.
         detection: the target in it.
         pose: `base_from_tool` that the robot reports, m; None where it is lost.
         time: when, by `time.monotonic`, s.
@@ -55,7 +54,6 @@ class CaptureSession:
     """Views that are taken with a camera on a robot; all methods may be called by any thread.
 
     Attributes:
-        folder: the data set.
         options: goal and limits.
         listener: called with a line of text for each thing that happens.
         last_look: the last picture that was looked at; None before the first.

@@ -94,11 +94,7 @@ def calibrate_folders(
 
 
 def _calibrate_folder(paths: tuple[Path, Path], settings: CalibrateSettings) -> FolderResult:
-    """Calibrate a folder, write its files, and return what the table needs.
-
-    Args:
-        paths: of the folder, or the file of samples, and of the folder for its results.
-    """
+    """Calibrate one data set into its folder of results, and return what the table needs."""
 
     def silent(_: str) -> None:
         """Report nothing: the lines of several folders would be mixed."""
@@ -148,11 +144,7 @@ def _row(
     warnings: int,
     document: dict[str, Any],
 ) -> FolderResult:
-    """Return the row of a fit.
-
-    Args:
-        errors: number of views used, the error in them, its unit, and the error in unseen views.
-    """
+    """Return the row of a fit; errors: views used, fitted error, its unit, held-out error."""
     mount_path = fit.calibration.transform_names[0]
     stds = [fit.std.get(f"{mount_path}.translation.{axis}") for axis in "xyz"]
     known = [std for std in stds if std is not None]

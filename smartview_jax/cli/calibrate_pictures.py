@@ -39,8 +39,6 @@ class PictureResult(AbstractResult):
         held_out_reports: held-out errors by method; empty where they were not computed.
         split_half: difference between halves of the views; None where it was not computed.
         budget: causes of the error; None where they were not computed.
-        notes: remarks on the data, and on what could not be computed.
-        given: the options that state prior knowledge, in words.
     """
 
     data: "sv.Dataset"

@@ -30,8 +30,6 @@ class PoseResult(AbstractResult):
 
     Attributes:
         held_out: errors of held-out pairs; None where they were not computed.
-        notes: remarks on the data, and on what could not be computed.
-        given: the options that state prior knowledge, in words.
     """
 
     data: "sv.dataset.PoseDataset"

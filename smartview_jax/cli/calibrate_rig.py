@@ -24,7 +24,6 @@ class RigResult(AbstractResult):
 
     Attributes:
         held_out: errors of held-out states by camera; None where they were not computed.
-        notes: remarks on the data, and on what could not be computed.
         budget: causes of the errors; None where they were not computed.
     """
 

@@ -74,9 +74,7 @@ class Sources(NamedTuple):
 def open_sources(named: SourceOptions, folder: Path) -> Sources:
     """Return the named camera and robot, which are opened when they are needed.
 
-    Args:
-        named: texts that name them; without a pose format the folder's table states it.
-        folder: the data set; the simulated cell begins it if it is new.
+    Without a pose format the folder's table states it; a simulated cell begins a new folder.
     """
     simulated = None
     if SIMULATED in (named.camera, named.robot):

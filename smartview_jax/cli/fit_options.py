@@ -108,11 +108,7 @@ class FitOptions(NamedTuple):
 
 
 def parse_fit_options(lens: str, mount: str, known: FitKnowledge) -> FitOptions:
-    """Read the texts of the options; every error names the option and what it expects.
-
-    Args:
-        known: file of a known camera and texts of the other options.
-    """
+    """Read the texts of the options; every error names the option and what it expects."""
     # Before anything is detected or fitted, so that a misspelt name is reported at once.
     camera = None if known.camera is None else sv.io.read_camera(known.camera)
     fixed, free = tuple(known.fixed or ()), tuple(known.free or ())
@@ -258,9 +254,7 @@ def parse_rig_start(
 ) -> "dict[str, sv.Calibration | dict[str, SE3]] | None":
     """Return the starts of a rig's cameras by name; None without any.
 
-    Args:
-        texts: a folder with a calibration for each camera, or CAMERA.NAME=x,y,z,yaw,pitch,roll.
-        mounts: mount of each camera, by its name.
+    A text is a folder with a calibration for each camera, or CAMERA.NAME=x,y,z,yaw,pitch,roll.
     """
     folders = [Path(text) for text in texts if "=" not in text]
     if len(folders) > 1:
@@ -289,11 +283,9 @@ def parse_rig_start(
 def parse_rig_aspects(
     texts: Sequence[str], cameras: Collection[str], known: Collection[str] = ()
 ) -> "dict[str, sv.Prior]":
-    """Return the priors on the ratios of a rig's focal lengths by path.
+    """Return the priors on the ratios of focal lengths of a rig's unknown cameras, by path.
 
-    Args:
-        texts: camera.pixel_aspect=1+-0.001 for all cameras, or left.camera.pixel_aspect for one.
-        known: names of cameras that are held.
+    A text is camera.pixel_aspect=1+-0.001 for all cameras, or left.camera.pixel_aspect for one.
     """
     if texts and set(cameras) <= set(known):
         raise ValueError(f"--prior {texts[0]}: every camera is held by --camera")

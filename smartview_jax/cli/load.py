@@ -19,12 +19,8 @@ def load_named(
 ) -> "tuple[sv.Dataset, str]":
     """Load a data set (the sample if none is named), and return it with its name.
 
-    Args:
-        dataset: its folder; None for the sample.
-        bad_views: as in `load_dataset`.
-        progress: called with a line of text for each step.
-        base_from_world: rough pose of the target as a person writes it.
-        tracked_poses: whether poses of a tracker may take the place of pictures.
+    The rough pose of the target is as a person writes it. Poses of a tracker take the place of
+    pictures only if allowed.
     """
     rough_pose = None
     if base_from_world is not None:
@@ -87,7 +83,6 @@ class NamedViews(NamedTuple):
     """The views of a folder.
 
     Attributes:
-        pictures: their files.
         command: reported poses; None without a robot.
         cameras: name of the camera of each view; empty for a folder of one camera.
         states: name of the robot's state in each view; empty for a folder of one camera.
@@ -155,9 +150,7 @@ def load_calibrated_views(
 ) -> "tuple[sv.modeling.AnyCalibration, sv.joint.SavedEstimate | None, bool]":
     """Return the calibration of views, its covariance, and whether it is taken as exact.
 
-    Args:
-        path: a calibration file, or the folder or file of a calibrated rig.
-        wanted: the camera that took them, and the frame of the results.
+    The path is of a calibration file, or of the folder or file of a calibrated rig.
     """
     camera, frame = wanted.camera, wanted.frame
     if not sv.joint.is_rig(path):

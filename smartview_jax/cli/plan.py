@@ -167,11 +167,7 @@ def plan(
 
 
 def _refuse_other_paths(paths: list[Path], first: bool) -> None:
-    """Raise an error for other arguments than a calibration and its data set, or a folder alone.
-
-    Args:
-        first: whether the first views are planned, for which there is no calibration yet.
-    """
+    """Raise an error unless a calibration and its data set are given, or at first a folder."""
     given = ", ".join(map(str, paths))
     for path in paths:
         if not path.exists():

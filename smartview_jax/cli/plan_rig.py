@@ -39,8 +39,7 @@ def plan_rig(
 ) -> None:
     """Print commands of the states to take next, best first, and the error they lead to.
 
-    Args:
-        paths: the folder of the calibrations, or the file of one arm's, and the data-set folder.
+    The paths are the folder of the calibrations, or one arm's file, and the data-set folder.
     """
     folder = paths[0] if paths[0].is_dir() else paths[0].parent
     with progress_line() as progress:

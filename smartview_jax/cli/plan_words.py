@@ -49,12 +49,7 @@ def plan_entries(plan: "sv.viewpoints.ViewPlan") -> dict[str, Any]:
 
 
 def give_no_commands(entries: dict[str, Any], json: bool) -> None:
-    """Print that there is no view to take, and why; no file for the robot is written.
-
-    Args:
-        entries: of the plan, with its sentences as `words`.
-        json: print a document instead of the sentences.
-    """
+    """Print that there is no view to take, and the words that say why; no commands are written."""
     if json:
         print_document("plan", {"commands": [], **entries, "file": None})
     else:

@@ -71,12 +71,7 @@ class CommandSheet(NamedTuple):
     refused_for: tuple[str, ...]
 
     def give(self, subcommand: str, json: bool, say: Callable[[], None], **content: Any) -> None:
-        """Print the commands and write them for the robot; refuse unsafe ones.
-
-        Args:
-            say: prints further text after the table.
-            content: further entries of the document.
-        """
+        """Print the commands, then what `say` prints, and write them; refuse unsafe ones."""
         if not json:
             self.print()
             say()

@@ -63,12 +63,7 @@ def print_table(
     justify: Literal["left", "right"] = "left",
     **style: Any,
 ) -> None:
-    """Print a table.
-
-    Args:
-        justify: where texts stand in their columns; in the first column they stand left.
-        style: arguments of rich's `Table`.
-    """
+    """Print a table in a style of rich's `Table`; texts of the first column stand left."""
     table = Table(**style)
     for number, heading in enumerate(headings):
         table.add_column(heading, justify=justify if number else "left")

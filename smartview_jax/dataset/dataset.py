@@ -438,11 +438,7 @@ def of_views(arrays: Any, index: np.ndarray) -> Any:
 def _mask_reasons(
     given: dict[str, str], wrong_values: dict[str, str], ids: Sequence[str], mask: bool
 ) -> dict[str, str]:
-    """Return why views are masked, by their names.
-
-    Args:
-        given: reasons of the caller, which take precedence.
-    """
+    """Return why views are masked, by their names; the caller's reasons take precedence."""
     unknown = set(given) - set(ids)
     if unknown:
         raise ValueError(f"masked_views: no view is called {sorted(unknown)}")

@@ -96,9 +96,7 @@ def choose_common_symmetry(
 def _holder_rotation(camera_rotations: np.ndarray, mount_rotations: np.ndarray) -> Rotation | None:
     """Estimate the rotation of `holder_from_world` for the first symmetry.
 
-    Returns:
-        None if all rotations between views are about one axis, or if fewer than two of them have a
-        usable angle.
+    It is None if the rotations share an axis, or if fewer than two have a usable angle.
     """
     # A_ij = R_j R_i^T of the camera and B_ij of the mount satisfy A_ij = X B_ij X^T with the
     # hand-eye rotation X (camera_from_mount). So their rotation vectors satisfy

@@ -52,11 +52,7 @@ def charuco_board(target: Charuco) -> cv2.aruco.CharucoBoard:
 
 
 def detect_charuco(image: np.ndarray, target: Charuco) -> Detection:
-    """Detect the inner corners of a ChArUco board that are between recognised markers.
-
-    Args:
-        image: grey, uint8.
-    """
+    """Detect the inner corners of a ChArUco board that are between recognised markers."""
     count = (target.squares_x - 1) * (target.squares_y - 1)
     detector = cv2.aruco.CharucoDetector(charuco_board(target))
     corners, ids, _, marker_ids = detector.detectBoard(image)
@@ -88,9 +84,6 @@ def detect_tags(image: np.ndarray, target: TagGrid | AprilGrid) -> Detection:
 
     A corner whose refinement fails is not visible. Tags whose border differs from the target's are
     not accepted, because their corners would be wrong by one cell of the code.
-
-    Args:
-        image: grey, uint8.
     """
     count = 4 * len(target.ids)
     tags = find_tags(image, target, target.border_bits)

@@ -151,12 +151,7 @@ def checked_detection(
     image_size: tuple[int, int],
     limits: DetectionLimits | None = None,
 ) -> Detection:
-    """Return a detection without the points that fail, or an empty one with the reason.
-
-    Args:
-        points: points of the target, m.
-        image_size: width and height, px.
-    """
+    """Return a detection without the points that fail, or an empty one with the reason."""
     visible = detection.visible
     if not visible.any():
         return detection

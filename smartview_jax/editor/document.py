@@ -88,7 +88,6 @@ class Document:
 
     Attributes:
         points: the clicks of every point.
-        edges: pairs of points.
         next_id: the id of the part that is added next.
         symmetry_confirmed: whether the user confirmed the symmetry found; None if undecided.
         symmetry_order: order of the symmetry that was confirmed or refused; None is any.
@@ -159,11 +158,7 @@ def _check_quantities(name: str, *values: Any) -> None:
 
 
 def apply_change(document: Document, change: Mapping[str, Any]) -> Document:
-    """Return the document after a change.
-
-    Args:
-        change: `{"do": name, ...}` with the arguments of the named change.
-    """
+    """Return the document after a change, `{"do": name, ...}` with the arguments of this change."""
     content = dict(change)
     name = content.pop("do", None)
     function = CHANGES.get(str(name))

@@ -21,11 +21,7 @@ PictureSizes: TypeAlias = Mapping[str, tuple[int, int]]
 
 
 class AbstractDrawing(abc.ABC):
-    """A document that is edited step by step; every change is checked before it is kept.
-
-    Attributes:
-        names: names of the views, in their order.
-    """
+    """A document that is edited step by step; every change is checked before it is kept."""
 
     names: list[str]
     geometry: ViewGeometry
@@ -79,12 +75,7 @@ class AbstractDrawing(abc.ABC):
     def click(
         self, view: str, pixel: Sequence[float] | np.ndarray, point: int | None = None
     ) -> int:
-        """Click a feature in a view, and return the id of its point.
-
-        Args:
-            pixel: u and v, px.
-            point: the existing point to which this click belongs; None for a new point.
-        """
+        """Click a feature at u, v (px) as an existing or new point (None); return its id."""
         u, v = self.checked_pixel(view, pixel)
         if point is None:
             return self._add({"do": "add_point", "clicks": {view: [u, v]}})
@@ -199,11 +190,7 @@ def _check_names(before: Document, after: Document) -> None:
 
 
 def check_clicks(change: Mapping[str, Any], sizes: PictureSizes) -> None:
-    """Raise an error for a change with a click in an unknown view or outside its picture.
-
-    Args:
-        sizes: width and height of each view's picture, px, by the view's name.
-    """
+    """Raise an error for a change with a click in an unknown view, or outside its picture (px)."""
     # All parts of a change are checked before any of them is made.
     clicks = dict(change.get("clicks") or {})
     if change.get("do") == "click":

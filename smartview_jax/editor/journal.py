@@ -77,9 +77,6 @@ class Journal:
     def _whole_lines(self, first: bytes) -> list[dict[str, Any]]:
         """Return the entries of all whole lines, after cutting off a torn last one.
 
-        Args:
-            first: the line with which a journal begins.
-
         Raises:
             ValueError: a line is no change and was not torn; the file stays as it is.
         """

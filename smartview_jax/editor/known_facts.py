@@ -93,11 +93,7 @@ FACT_KINDS: Mapping[str, FactKind] = {
 
 
 def constraint_of(fact: DrawnConstraint, number: Mapping[int, int]) -> AbstractConstraint:
-    """Return the constraint of a fact.
-
-    Args:
-        number: number of the vertex by the id of the point.
-    """
+    """Return the constraint of a fact, given the number of each point's vertex by id."""
     kind = FACT_KINDS.get(fact.kind)
     if kind is None:
         raise ValueError(f"expected one of the facts {', '.join(FACT_KINDS)}; found {fact.kind!r}")

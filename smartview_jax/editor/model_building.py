@@ -36,12 +36,8 @@ def build_model(
 ) -> ObjectModel:
     """Return the model of all points that have a position, with its edges, faces and grasps.
 
-    Parts in `problems_of` are left out; the symmetry is not computed.
-
-    Args:
-        names: names of the views, for the provenance.
-        picture_covariance: joint covariance of the coordinates of all `placed_points`, m^2; None
-            if the points are independent.
+    Parts in `problems_of` are left out; the symmetry is not computed. The covariance (m^2) is of
+    the coordinates of all `placed_points`; without it the points are independent.
     """
     wrong = problems_of(document, estimates)
     placed = placed_points(document, estimates)

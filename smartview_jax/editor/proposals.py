@@ -78,11 +78,7 @@ class Proposals:
         return {"do": "several", "changes": changes}
 
     def decide(self, numbers: Sequence[int], document_before: Document | None) -> None:
-        """Remove points from the offer, after they were accepted or rejected.
-
-        Args:
-            document_before: the document before they were accepted; None if they were rejected.
-        """
+        """Remove points from the offer, after they were rejected, or added to a document before."""
         for k, number in enumerate(numbers):
             self.points.pop(number, None)
             if document_before is not None:

@@ -42,12 +42,7 @@ _LOGGER = logging.getLogger(__name__)
 
 
 def editor_app(session: ModelSession, token: str, port: int) -> Any:
-    """Return the ASGI application that shows a session.
-
-    Args:
-        token: the token that the first request must have.
-        port: port of the server, part of the accepted origin.
-    """
+    """Return the ASGI application that shows a session; the first request must have the token."""
     import_extra("starlette", "editor", "the editor's page")
     from starlette.applications import Starlette
     from starlette.routing import Mount, Route, WebSocketRoute

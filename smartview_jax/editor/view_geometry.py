@@ -123,7 +123,6 @@ class ViewGeometry:
     """The views of a session with their cameras' poses.
 
     Attributes:
-        names: names of the views.
         camera_from_world: extrinsics of all views.
         centres: camera centres in the world, m.
         depth_range: nearest and farthest depth of curves by view, m.

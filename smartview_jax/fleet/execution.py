@@ -287,11 +287,7 @@ def _processor_count() -> int:
 
 
 def _process_pool(count: int, optimise: bool) -> ProcessPoolExecutor:
-    """Return a pool of new processes that can run jobs.
-
-    Args:
-        optimise: whether they optimise the programs of small data sets.
-    """
+    """Return a pool of new processes that run jobs, and optimise small programs on request."""
     settings = {name: jax.config.values[name] for name in _SHARED_SETTINGS}
     # A forked process would have locks of JAX's threads, but not the threads that release them.
     context = multiprocessing.get_context("spawn")

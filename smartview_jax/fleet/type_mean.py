@@ -64,11 +64,7 @@ class TypeMean(NamedTuple):
         medians: Float[np.ndarray, "coefficients"],
         group_index: Int[np.ndarray, "coefficients"],
     ) -> "TypeMean":
-        """Estimate the mean from robots' likelihoods, weighted by membership.
-
-        Args:
-            medians: median size of each coefficient for any robot.
-        """
+        """Estimate the mean from robots' likelihoods, in units of any robot's medians."""
         # With A a robot's information matrix, b its vector and V its variances, integration over c
         # leaves the information K = (1 + A V)^-1 A and the vector (1 + A V)^-1 b for m.
         by_units = np.outer(medians, medians)

@@ -37,8 +37,6 @@ class Contact(NamedTuple):
     """The smallest distance of a moving part from an obstacle.
 
     Attributes:
-        part: name of the moving part.
-        obstacle: name of the obstacle.
         clearance: the distance between them, m; zero where they touch.
     """
 
@@ -137,13 +135,7 @@ def swept_gripper(
     world_from_gripper: Float[np.ndarray, "4 4"],
     translation: Float[np.ndarray, "3"],
 ) -> dict[str, Float[np.ndarray, "16 3"]]:
-    """Return the corners of the volume that a gripper sweeps on a straight line from a pose.
-
-    Args:
-        opening: distance between the fingers, m.
-        world_from_gripper: pose at one end of the line.
-        translation: from this pose to the other end, in the world's frame, m.
-    """
+    """Return the corners of the volume that a gripper sweeps on a straight line from a pose, m."""
     swept = {}
     for box in gripper.boxes(opening):
         corners = host_transformed(world_from_gripper, box.vertices)
@@ -170,13 +162,9 @@ def closing_fingers(
 def swept_object(
     vertices: Float[np.ndarray, "vertices 3"], translation: Float[np.ndarray, "3"]
 ) -> dict[str, Float[np.ndarray, "corners 3"]]:
-    """Return the corners of the volume that a held object sweeps on a straight line.
+    """Return the corners of the volume that a held object sweeps on a straight line, m.
 
     It is the sweep of the object's convex hull, shrunk by `RESTING_OVERLAP` on all sides.
-
-    Args:
-        vertices: of the object where it lies, in the world, m.
-        translation: of the object, m.
     """
     corners = _shrunk_hull(vertices, translation)
     return {"held object": np.concatenate([corners, corners + translation])}
@@ -209,11 +197,9 @@ def _shrunk_hull(
 def swept_links(
     origins: Float[np.ndarray, "steps frames 3"], radius: float
 ) -> Iterator[dict[str, Float[np.ndarray, "corners 3"]]]:
-    """Yield the corners of the volumes that an arm's links sweep from each step to the next.
+    """Yield the corners of the volumes that an arm's links sweep from each step to the next, m.
 
-    Args:
-        origins: of the frames along the arm at each step, in the world, m.
-        radius: of the cylinders about the links, m.
+    A link is a cylinder between two origins of frames along the arm, in the world.
     """
     for before, after in pairwise(arm_links(frames, radius) for frames in origins):
         # A sliding joint may start at zero length, where its link has no direction.
@@ -225,12 +211,7 @@ def swept_links(
 def arm_links(
     origins: Float[np.ndarray, "frames 3"], radius: float
 ) -> dict[str, Float[np.ndarray, "corners 3"]]:
-    """Return the corners of cylinders about the links of an arm, from frame to frame.
-
-    Args:
-        origins: of the frames along the arm, in the world, m.
-        radius: of the cylinders, m.
-    """
+    """Return the corners of cylinders about the links of an arm, from frame to frame, m."""
     links = {}
     for k, (start, end) in enumerate(pairwise(origins)):
         axis = end - start

@@ -14,7 +14,6 @@ class LocalizedObject(Protocol):
     """An object whose pose is known; a `Localization` is one.
 
     Attributes:
-        model: of the object.
         world_from_object: its pose, 4x4, m.
         covariance: covariance of the pose's tangent, translation first, m^2 and rad^2: `true =
             world_from_object @ exp(xi)`.
@@ -44,7 +43,6 @@ class PlacedObject(NamedTuple):
     """An object whose pose is known from another source, such as a fixture or a drawing.
 
     Attributes:
-        model: of the object.
         world_from_object: its pose, m.
         covariance: covariance of the pose's tangent, translation first; zero if it is exact.
         calibration_jacobian: as in `LocalizedObject`; None if the pose does not depend on the

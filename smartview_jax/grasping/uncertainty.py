@@ -68,11 +68,7 @@ def gripper_errors(
 def error_covariance(
     localized: LocalizedObject, gripper_from_object: Float[np.ndarray, "4 4"], errors: GripperErrors
 ) -> Float[np.ndarray, "12 12"]:
-    """Return the joint covariance of eta and tau, in this order, for one grasp.
-
-    Args:
-        gripper_from_object: its pose in the gripper's frame.
-    """
+    """Return the joint covariance of eta and tau, in this order, for one grasp."""
     _, covariance = checked_object(localized)
     to_gripper = host_adjoints(gripper_from_object)
     jacobian = localized.calibration_jacobian

@@ -39,11 +39,7 @@ class Table:
     written_header: tuple[str, ...]
 
     def view_ids(self, content: str = "") -> list[str]:
-        """Return the names of the views, one for each row.
-
-        Args:
-            content: what the rows have, for the error that there are none; empty accepts no rows.
-        """
+        """Return the names of the views, one for each row; no rows are an error if named."""
         views = [row[VIEW_COLUMN] for row in self.rows]
         if repeated := duplicates(views):
             raise ValueError(f"{self.path}: view {', '.join(repeated)} has more than one row")
@@ -52,10 +48,7 @@ class Table:
         return views
 
     def requiring(self, required: Sequence[str], units: Collection[str] = ("s",)) -> "Table":
-        """Return the table with further required columns under their names, as `read_table` does.
-
-        For columns that are known to be required only after the table was read.
-        """
+        """Return the table with more required columns than were known when it was read."""
         header, missing = _named(self.written_header, required, units)
         if missing:
             raise ValueError(
@@ -161,11 +154,7 @@ def parse_numbers(
     view: str,
     require_finite: bool = True,
 ) -> np.ndarray:
-    """Return some columns of a row as numbers.
-
-    Args:
-        require_finite: whether to refuse NaN and infinity; False if the caller can mask the view.
-    """
+    """Return some columns of a row as numbers, finite ones unless the caller can mask the view."""
     values = np.empty(len(columns))
     for k, column in enumerate(columns):
         if not is_number(row[column]):
@@ -179,11 +168,7 @@ def parse_numbers(
 
 
 def refuse_out_of_range(path: str | Path, positions: np.ndarray, labels: Sequence[str]) -> None:
-    """Raise a ValueError that names the first position beyond the reach of any robot.
-
-    Args:
-        positions: `(views, 3)`, m; each coordinate is limited by `MAX_COORDINATE`, and NaN passes.
-    """
+    """Raise a ValueError for the first position (m) beyond `MAX_COORDINATE`; NaN passes."""
     for label, position in zip(labels, positions, strict=True):
         for axis, value in zip("xyz", position, strict=True):
             if abs(value) > MAX_COORDINATE:
@@ -199,11 +184,7 @@ def write_table(
     rows: Sequence[Sequence[object]],
     comments: Sequence[str] = (),
 ) -> None:
-    """Write a CSV file, completely or not at all; floats keep every digit.
-
-    Args:
-        comments: lines to write at the end, which readers ignore.
-    """
+    """Write a CSV file and comments after it, completely or not at all; floats keep every digit."""
     if VIEW_COLUMN in header:
         column = list(header).index(VIEW_COLUMN)
         require_readable(f"{path}: view", dict.fromkeys(row[column] for row in rows))

@@ -197,10 +197,7 @@ def detected_dataset(
 
 
 def _with_joints(readings: RobotReadings, data: Dataset, description_path: Path) -> Dataset:
-    """Return the data set with joint readings, pose format and notes of the robot's tables.
-
-    An error names the description file.
-    """
+    """Return the data set with joint readings, pose format and notes of the robot's tables."""
     with errors_at(f"{description_path}: joints"):
         data = readings.with_joints(data)
     return dataclasses.replace(
@@ -276,11 +273,7 @@ def _save_pictures(data: Dataset, folder: Path, pose_format: str) -> None:
 
 
 def described_target(data: Dataset, owner: str) -> AbstractTarget:
-    """Return the target of a data set; of one without a target, its listed points.
-
-    Args:
-        owner: name of the data set for error messages, such as "camera 'left'".
-    """
+    """Return the target of a data set, or its listed points; an error names the owner."""
     points, target = np.asarray(data.points), data.target
     if target is None:
         differ = np.flatnonzero((points != points[:1]).any(axis=(1, 2)))
@@ -358,11 +351,7 @@ def write_described_folder(
     entries: Mapping[str, Any],
     pose_format: str,
 ) -> None:
-    """Write tables of poses and then the description with the given entries.
-
-    Args:
-        poses: view ids and reported poses of each table, by its name.
-    """
+    """Write tables of poses, by their names, and then the description with the given entries."""
     description = marked_entries(entries)
     schema = schemas.RIG_SCHEMA if "cameras" in description else schemas.DATASET_SCHEMA
     schemas.refuse_unreadable(description, schema, folder / DESCRIPTION_FILE)

@@ -54,15 +54,9 @@ _COLUMNS = ("x", "y", "z")
 def read_measured_points(
     path: str | Path, count: int, unit: str | float = "m"
 ) -> Float[np.ndarray, "points 3"]:
-    """Return the points of a target as a depth sensor measured them in one view, m.
+    """Return a target's points as a depth sensor measured them in one view, m; NaN for others.
 
-    Args:
-        path: a file as this module's docstring describes it.
-        count: number of the target's points.
-        unit: of the coordinates: m, cm, mm, or metres by number.
-
-    Returns:
-        The points in the sensor's frame; NaN where not measured.
+    The unit is m, cm or mm, or a number of metres; the module's docstring describes the file.
     """
     path = Path(path)
     if not path.is_file():
@@ -125,11 +119,7 @@ def _points_from_array(path: Path) -> np.ndarray:
 
 
 def read_points_folder(described: DescribedFolder, options: LoadOptions) -> PoseDataset:
-    """Read a folder with the points of a target that a depth sensor measured.
-
-    Args:
-        described: a folder with an entry `measured_points`.
-    """
+    """Read a folder with the points of a target that a depth sensor measured."""
     content = described.content
     with errors_at(described.path):
         target = read_target(described.folder, content["target"])
@@ -152,11 +142,7 @@ def read_points_folder(described: DescribedFolder, options: LoadOptions) -> Pose
 def read_depth_pictures(
     data: Dataset, readings: RobotReadings, described: DescribedFolder, options: LoadOptions
 ) -> PoseDataset:
-    """Read the depth pictures of a folder at the target's points, detected in its other pictures.
-
-    Args:
-        described: a folder with an entry `depth_pictures`.
-    """
+    """Read a folder's depth pictures at the target's points, detected in its other pictures."""
     entry = described.content["depth_pictures"]
     files = picture_files(described, entry["pattern"], readings.view_ids, data.target)
     camera = read_camera(described.folder / entry["camera"])

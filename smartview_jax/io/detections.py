@@ -43,11 +43,7 @@ def write_detections(
     view_ids: Sequence[str],
     pixels: Float[np.ndarray, "views points 2"],
 ) -> int:
-    """Write one row for each detected point, and return the number of rows.
-
-    Args:
-        pixels: detected points, px; NaN where a point was not detected.
-    """
+    """Write one row for each detected point (px, else NaN), and return the number of rows."""
     rows = [
         row
         for view, view_pixels in zip(view_ids, pixels, strict=True)
@@ -88,11 +84,7 @@ def _rows(view: str, pixels: Float[np.ndarray, "points 2"], key: str) -> list[tu
 def read_detections(
     path: Path, view_ids: Sequence[str], point_count: int, stated_rows: int | None = None
 ) -> tuple[Float[np.ndarray, "views points 2"], tuple[str, ...]]:
-    """Read the detected points, px, NaN where a point was not detected, and notes on the table.
-
-    Args:
-        stated_rows: number of rows that the description states; None if it states none.
-    """
+    """Read the detected points, px, NaN where a point was not detected, and notes on the table."""
     table = read_table(path, _COLUMNS, ())
     refuse_truncated(path, table.rows, stated_rows)
     rows, notes = with_names_of(table, view_ids)
@@ -103,12 +95,7 @@ def read_detections(
 def read_kept_detections(
     path: Path, view_ids: Sequence[str], point_count: int
 ) -> dict[str, KeptDetection]:
-    """Read the complete views of a file that `write_kept_detections` wrote.
-
-    Args:
-        path: of the file, which may be missing.
-        view_ids: ids of the views to read; rows of others are ignored.
-    """
+    """Read the complete views of a file of `write_kept_detections`; none if there is no file."""
     if not path.is_file():
         return {}
     wanted = set(view_ids)
@@ -170,14 +157,7 @@ def values_of_points(
     point_count: int,
     columns: Sequence[str],
 ) -> Float[np.ndarray, "views points columns"]:
-    """Return the numbers that a table has for points of the target, by view and point.
-
-    Args:
-        rows: of the table, with the columns `view` and `point`.
-
-    Returns:
-        The numbers; NaN where a point has no row.
-    """
+    """Return a table's numbers for points of the target, by view and point; NaN without a row."""
     index = {view: k for k, view in enumerate(view_ids)}
     values = np.full((len(view_ids), point_count, len(columns)), np.nan)
     for row in rows:

@@ -38,7 +38,6 @@ class DescribedFolder(NamedTuple):
     """A folder with the entries of its description, which readers of its parts take.
 
     Attributes:
-        content: entries of the description.
         path: of the description, for messages.
     """
 
@@ -66,11 +65,7 @@ class DescribedFolder(NamedTuple):
         return self._replace(content=content), description
 
     def of_one_camera(self, otherwise: str = "") -> "tuple[DescribedFolder, schemas.DatasetFile]":
-        """Return the folder and its description, as `validated` does, if it has one camera.
-
-        Args:
-            otherwise: end of the message for several cameras, with what is to be done.
-        """
+        """Return folder and description if it has one camera; `otherwise` ends the error's text."""
         if self.is_rig:
             raise ValueError(
                 f"{self.path}: cameras: expected a folder with one camera, found several{otherwise}"
@@ -95,7 +90,6 @@ class FolderDescription(NamedTuple):
     """The description of one camera and its target; its pictures may not have been taken yet.
 
     Attributes:
-        target: the target in its pictures.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         image_size: width and height of its pictures, px.
         holder_from_world: approximate pose of the target; None if it is not known.

@@ -112,11 +112,7 @@ class _Spellings:
 def numbered_pictures(
     folder: Path, pattern: str, numbers: Sequence[int], poses_path: Path
 ) -> dict[str, list[Path]]:
-    """Return the picture of each numbered view, by view id.
-
-    Args:
-        pattern: file name with `{view}`, formatted by the number.
-    """
+    """Return the picture of each numbered view, by view id; the pattern has `{view}` in it."""
     if "{view" not in pattern:
         raise ValueError(f"pictures: expected a name with {{view}} in it, found {pattern!r}")
     files = {str(number): [folder / pattern.format(view=number)] for number in numbers}
@@ -185,7 +181,6 @@ def read_board_heights(
         table: the table of poses, joint readings or picture times; None if the poses are in a file
             of another format, which has no further columns.
         target: only a `StackedTarget` has several heights.
-        suffix: suffix of the names in the table that the ids do not have.
     """
     if not isinstance(target, StackedTarget) or table is None:
         return None

@@ -237,13 +237,7 @@ def _lens(coefficients: Sequence[float], model: str | None, path: str | Path) ->
 def _camera(
     intrinsics: Sequence[float], lens: AbstractLens, size: Sequence[int], source: str
 ) -> Camera:
-    """Return a camera with the same limits as in calibration.yaml: a plausible focus and centre.
-
-    Args:
-        intrinsics: alpha_u, alpha_v, u0, v0.
-        size: width and height of the pictures, px.
-        source: file and entry, for messages.
-    """
+    """Return a camera of alpha_u, alpha_v, u0, v0, within the limits of calibration.yaml."""
     names = ("alpha_u", "alpha_v", "u0", "v0")
     numbers = {name: float(x) for name, x in zip(names, intrinsics, strict=True)}
     schemas.validate_content(numbers, schemas.PINHOLE_SCHEMA, source)

@@ -295,13 +295,10 @@ def _renumbered(loop: Iterable[int], number: Int[np.ndarray, "V"]) -> tuple[int,
 
 
 def refuse_broken_text(path: Path, kind: str) -> None:
-    """Raise a ValueError if a mesh in text form has rows too many or too few, or of other lengths.
+    """Raise a ValueError if an OBJ or a PLY in text form has too many or too few numbers or rows.
 
     trimesh reads what it finds: a number that a blank has broken in two is another vertex, and of a
     PLY only as many lines are read as its header says.
-
-    Args:
-        kind: its format; files of other formats than OBJ and PLY pass.
     """
     if kind == "obj":
         _check_obj(path)

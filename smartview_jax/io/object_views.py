@@ -53,7 +53,6 @@ class ObjectViews(NamedTuple):
     """Pictures of an object and the robot's reported poses.
 
     Attributes:
-        view_ids: names of the views.
         paths: files of the pictures.
         pictures: grey levels.
         command: reported pose of each view, with joint readings if the folder has them.

@@ -144,12 +144,9 @@ def _detect_view(
 
 
 def _refuse_missing(pictures: Mapping[str, Sequence[Path]], masked: bool) -> None:
-    """Raise a FileNotFoundError if a picture is missing, before the target is looked for in any.
+    """Raise a FileNotFoundError for a missing picture, or where views are masked for all of them.
 
     If none exists, the folder or the suffix is wrong: the error lists what the folder has.
-
-    Args:
-        masked: whether the views of single missing pictures are left out instead.
     """
     paths = [path for view_paths in pictures.values() for path in view_paths]
     if not paths:

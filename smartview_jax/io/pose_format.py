@@ -40,7 +40,6 @@ class PoseFormat(NamedTuple):
     """A pose format and the units of a table.
 
     Attributes:
-        codec: the format.
         length_unit: a key of `LENGTH_UNITS`.
         angle_unit: a key of `ANGLE_UNITS`.
         columns: names of the table's columns, in the codec's order.
@@ -93,12 +92,9 @@ def table_format(
     stated: Mapping[str, Any],
     entry: str = "poses",
 ) -> PoseFormat:
-    """Return the format of a table from its header and from a description.
+    """Return the format of a table, from its header and from a description's entry.
 
-    Args:
-        rows: of the table, by column; at least one.
-        stated: the description's entry, whose keys `codec`, `length_unit`, `angle_unit` and
-            `direction` may be missing where the header says the same.
+    The entry may lack `codec`, `length_unit`, `angle_unit` or `direction` if the header has them.
     """
     # The column `format` decides first, then the units in the header, then the description.
     named = codec_of_rows(path, rows)
@@ -123,11 +119,7 @@ def table_format(
 
 
 def header_formats(header: Sequence[str], named: PoseCodec | None = None) -> list[PoseFormat]:
-    """Return the formats whose columns, with units, are all in a header.
-
-    Args:
-        named: the only format to look for; None for all formats.
-    """
+    """Return the formats, or the named one, whose columns with their units are all in a header."""
     formats: dict[tuple[str, tuple[str, ...]], PoseFormat] = {}
     for codec in POSE_CODECS.values() if named is None else (named,):
         for length in LENGTH_UNITS:
@@ -151,11 +143,7 @@ def stated_format(read_format: PoseFormat, stated: Mapping[str, Any], path: Path
 def decoded_poses(
     path: Path, form: PoseFormat, rows: Float[np.ndarray, "poses columns"], labels: Sequence[str]
 ) -> SE3:
-    """Return `base_from_tool` of the rows of a table, which may hold inverse poses.
-
-    Args:
-        rows: numbers in the codec's order.
-    """
+    """Return `base_from_tool` of the rows of a table, which may hold inverse poses."""
     with errors_at(path):
         poses = form.codec.decode(rows, *form.units, labels=labels)
     if form.direction != COMMANDED_DIRECTION:

@@ -42,7 +42,6 @@ class PoseLog(NamedTuple):
 
     Attributes:
         trajectory: the poses over the robot's time.
-        view_ids: names of the views.
         picture_times: a time for each view, s.
         time_offset: stated difference of the clocks, robot's minus camera's, s.
         times_path: the table of the pictures' times, for messages.

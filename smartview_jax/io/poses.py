@@ -91,9 +91,7 @@ def read_poses(
 ) -> RobotReadings:
     """Read view ids and poses, and the reasons of masked views by view id.
 
-    Args:
-        content: the entry of the table, as `schemas.dataset` defines `poses`.
-        bad_views: `"mask"` to mask views whose row is not a valid pose, `"raise"` to raise.
+    A row that is no valid pose masks its view if `bad_views` is `"mask"`, else it is an error.
     """
     path = folder / content["file"]
     if path.suffix == ".json":

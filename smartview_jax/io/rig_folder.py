@@ -197,12 +197,9 @@ def _views_of_camera(
     pattern: str,
     options: LoadOptions,
 ) -> Dataset:
-    """Return the data set of one camera, of the states in which it took a picture.
+    """Return the data set of one camera, of those states in which it took a picture.
 
-    Args:
-        readings: what the robot reported, in all states.
-        robot: description of its tables.
-        pattern: of the camera's pictures; empty where only detections are known.
+    Without a pattern of pictures only the detected points are known.
     """
     if not pattern:
         readings = readings.of_views(_detected_views(camera, readings))

@@ -10,11 +10,7 @@ from .poses import RobotReadings, read_poses
 
 
 def read_robot_readings(described: DescribedFolder, bad_views: str) -> RobotReadings:
-    """Read the tables that the entries `poses` and `joints` of a description name.
-
-    Args:
-        bad_views: `"mask"` to mask views whose row is not a valid pose, `"raise"` to raise.
-    """
+    """Read the tables that the entries `poses` and `joints` of a description name."""
     readings = _read_tables(described, bad_views)
     suffix = suffix_in_names(described, readings.view_ids)
     if not suffix:
@@ -40,9 +36,7 @@ def read_sound_readings(described: DescribedFolder) -> RobotReadings:
 def suffix_in_names(described: DescribedFolder, view_ids: Sequence[str]) -> str:
     """Return the picture suffix that all view names end in although the pattern adds it too.
 
-    Returns:
-        A suffix such as `".png"`; empty if the names do not have it, or if the pattern with the
-        full names gives existing pictures.
+    It is empty if the names do not have it, or if pictures of the full names exist.
     """
     pattern = (described.content.get("pictures") or {}).get("pattern", "")
     suffix = Path(pattern).suffix

@@ -80,12 +80,9 @@ def robot_urdf(
 
 
 def actual_arm(calibration: Calibration, arm: SerialArm | None = None) -> SerialArm:
-    """Return the arm as it is: with the zeros, lengths and twists that the calibration found.
+    """Return the arm with the zeros, lengths and twists that were found, or the given arm.
 
     Joints that displace the tool by at most `MAX_BENDING` as they bend are taken as rigid.
-
-    Args:
-        arm: the arm of a calibration without robot error.
     """
     error = calibration.robot_error
     if error is None:

@@ -103,12 +103,7 @@ def decoded_lines(path: Path) -> tuple[list[str], str]:
 
 
 def read_table_text(path: Path, is_header: Callable[[Sequence[str]], bool]) -> TableText:
-    """Read the fields of a table.
-
-    Args:
-        is_header: function that returns whether the column names are those that the caller
-            needs; it decides between separators.
-    """
+    """Read the fields of a table; of the separators, one gives a header that the caller accepts."""
     lines, encoding = decoded_lines(path)
     seen = [f"in the encoding {encoding}"] if encoding else []
     comments = tuple(line for line in lines if line.startswith("#"))
@@ -279,8 +274,7 @@ def is_number(text: str) -> bool:
 def _has_decimal_commas(path: Path, fields: Sequence[tuple[str, str]]) -> bool:
     """Return whether the numbers among some fields have decimal commas.
 
-    Args:
-        fields: each field without unambiguous thousands separators, and as given.
+    Each field is given without unambiguous thousands separators, and as it was written.
     """
 
     def fitting(pattern: re.Pattern[str], mark: str) -> list[tuple[str, str]]:

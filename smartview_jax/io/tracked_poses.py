@@ -63,12 +63,7 @@ _SENSOR_COLUMNS = (
 
 
 def read_tracked_folder(described: DescribedFolder, bad_views: str) -> PoseDataset:
-    """Read the pairs of poses of a folder.
-
-    Args:
-        described: a folder with an entry `tracked_poses`.
-        bad_views: `"raise"` an error for a pose that is not rigid, or `"mask"` its view.
-    """
+    """Read the pairs of poses of a folder with an entry `tracked_poses`."""
     folder, content = described.folder, described.content
     readings, entry = read_robot_readings(described, bad_views), content["tracked_poses"]
     stated = {**entry, "direction": _DIRECTIONS[entry["direction"]]}

@@ -219,9 +219,7 @@ def least_chi_square_matrix(
 ) -> Float[np.ndarray, "rows rows"]:
     """Return the matrix Q of the least chi-square over all unknowns, `r^T Q r`.
 
-    Args:
-        R: covariance of the residuals r.
-        J: derivatives of the residuals by the unknowns.
+    R is the covariance of the residuals r, and J their derivatives by the unknowns.
     """
     # Q = R^-1 - R^-1 J (J^T R^-1 J)^-1 J^T R^-1
     inverse = np.linalg.inv(R)
@@ -232,14 +230,9 @@ def least_chi_square_matrix(
 def deletion_of(
     Q: Float[np.ndarray, "rows rows"], r: Float[np.ndarray, "rows"], click: int
 ) -> ClickDeletion:
-    """Return the effect of leaving out one click, to first order.
+    """Return the effect of leaving out one click, two rows of the residuals r, to first order.
 
     Reference: Cook and Weisberg, Residuals and influence in regression, 1982, section 2.2.
-
-    Args:
-        Q: from `least_chi_square_matrix`.
-        r: residuals; each click has two rows.
-        click: number of the click.
     """
     # Without the rows i of a click r^T Q r is less by (Q r)_i^T Q_ii^-1 (Q r)_i.
     rows = slice(2 * click, 2 * click + 2)

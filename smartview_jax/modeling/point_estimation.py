@@ -155,9 +155,7 @@ def _minimise(
 ) -> tuple[Float[Array, "points 3"], Linearisation, Float[Array, "points"]]:
     """Minimise the costs of all points together, each with its own damping.
 
-    Returns:
-        The points, their linearisation, and the squared length of the next undamped step in
-        standard deviations.
+    With points and linearisation comes the squared next undamped step, in standard deviations.
     """
     # Each trial is linearised immediately: nearly all are accepted, so one pass over the pixels
     # gives both cost and derivatives.

@@ -284,10 +284,7 @@ def checked_sigma(
 ) -> np.ndarray:
     """Return `pixel_sigma` as an array: one number, one of each observation, or its covariance.
 
-    Args:
-        pixel_sigma: as in `triangulate_points` and `triangulate_lines`.
-        shape: numbers of views and features.
-        covariance: the further axes where covariances are given.
+    The shape is of views and features; given covariances have further axes.
     """
     sigma = np.asarray(pixel_sigma, dtype=float)
     if sigma.shape not in ((), shape, (*shape, *covariance)):

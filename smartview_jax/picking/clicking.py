@@ -33,7 +33,6 @@ class SeenObject(NamedTuple):
         pixels: where each vertex is, px.
         visible: whether it is seen there.
         faces: loops of vertices; a face is added if all its vertices can be clicked.
-        name: of the object.
     """
 
     pixels: Float[np.ndarray, "views vertices 2"]

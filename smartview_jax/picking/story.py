@@ -49,12 +49,7 @@ def localised_section(
     region: Region,
     strip: list[tuple[str, np.ndarray]],
 ) -> Section:
-    """Return the part of the page with Fig. 8 (a) to (f) of this run.
-
-    Args:
-        region: the part of the pictures to show.
-        strip: pictures of the bystander by phase; the last one is Fig. 8 (f).
-    """
+    """Return the part of the page with Fig. 8 (a) to (f); the last picture of the strip is (f)."""
     calibration = calibrated.fit.calibration
     camera, views = (
         calibration.camera,

@@ -17,7 +17,6 @@ class CameraScene(NamedTuple):
     """Cameras as pyramids and the target's points, in the target's frame, m.
 
     Attributes:
-        view_ids: names of the views.
         centres: centre of each camera.
         corners: corners of each picture, projected into space, in order around it.
         used: whether a view has any point that was not rejected.

@@ -38,7 +38,6 @@ class Bag:
     """An open bag; `open_bag` opens and closes it.
 
     Attributes:
-        path: of the bag.
         kinds: type of the messages of each topic, such as `sensor_msgs/msg/Image`.
         counts: number of messages of each topic.
     """

@@ -97,11 +97,9 @@ class BagContent(NamedTuple):
     Attributes:
         moments: times of the pictures, or of the measurements of the tag, ns, increasing.
         received: when each was recorded, ns.
-        robot: the robot's motion.
         tracked: `camera_from_world` of the tag at each moment; None for pictures.
         camera: a message with the known camera; None if there is none.
         image: topic of the pictures; None for a tag.
-        notes: sentences on what was used.
     """
 
     moments: Int64[np.ndarray, "moments"]

@@ -174,11 +174,9 @@ class _Import:
     def _write_pictures(
         self, folder: Path, topic: str, views: Mapping[int, str], until: int
     ) -> PictureFile:
-        """Write the chosen pictures of a topic one after the other, and return the first.
+        """Write the pictures of the views (by their time, ns), and return the first.
 
-        Args:
-            views: names of the views by the time of their picture, ns.
-            until: time of recording before which all of them were recorded, ns.
+        All of them were recorded before the time `until`, ns.
         """
         first: PictureFile | None = None
         missing = dict(views)
@@ -208,11 +206,7 @@ def camera_text(
 ) -> tuple[str | None, str]:
     """Return the text of the camera's file, None if there is no calibrated camera, and a note.
 
-    Args:
-        message: a `sensor_msgs/CameraInfo`.
-        image_size: width and height of the pictures, px.
-        rectified: whether the pictures are rectified: their camera has no distortion, and its
-            numbers are in the projection matrix P.
+    Rectified pictures have no distortion, and their numbers are in the projection matrix P.
     """
     K = np.asarray(message.k if hasattr(message, "k") else message.K, dtype=float).reshape(3, 3)
     P = np.asarray(message.p if hasattr(message, "p") else message.P, dtype=float).reshape(3, 4)

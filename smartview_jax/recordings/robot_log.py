@@ -42,7 +42,6 @@ class RobotLog(NamedTuple):
 
     Attributes:
         chain: transforms from base to tool; None if the arm's kinematics gives the poses.
-        joints: joint readings; None if there are none.
     """
 
     chain: Chain | None
@@ -83,12 +82,7 @@ class JointRecord:
         self._seen: dict[str, None] = {}
 
     def add(self, message: Any, stamp: int | None = None) -> None:
-        """Add a message that has all joints; others, as of a gripper, are passed over.
-
-        Args:
-            message: a `sensor_msgs/JointState`.
-            stamp: its time, ns; by default from its header.
-        """
+        """Add a message that has all joints, with its stamp in ns; others are passed over."""
         names = list(message.name)
         self._seen |= dict.fromkeys(names)
         if len(message.position) != len(names) or not set(self._names) <= set(names):

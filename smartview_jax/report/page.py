@@ -205,11 +205,7 @@ def _uncertainty_figures(fit: CalibrationFit, data: Dataset) -> list[PageFigure]
 def prediction_overlays(
     data: Dataset, summary: tables.ErrorSummary, calibration: Calibration
 ) -> list[tuple[str, str, plots.PlotFigure]]:
-    """Draw the predictions in the views with the median and with the largest error.
-
-    Returns:
-        The view's name, a caption and the figure of each; none without pictures.
-    """
+    """Draw the predictions in two views, of median and of largest error: name, caption, figure."""
     if data.pictures is None:
         return []
     caption = (

@@ -44,15 +44,7 @@ class StoryFigure(NamedTuple):
 
 
 class Section(NamedTuple):
-    """A part of the page.
-
-    Attributes:
-        title: its heading.
-        text: a paragraph; may be empty.
-        figures: pictures side by side.
-        header: names of the columns of the table; empty for a table without names.
-        rows: of the table.
-    """
+    """A part of the page."""
 
     title: str
     text: str = ""
@@ -105,7 +97,6 @@ class PageFigure(NamedTuple):
 
     Attributes:
         name: printed first.
-        text: caption.
         url: the picture itself, as a data URL.
         style: size in CSS; empty for a picture that fills its column.
         wide: whether it takes the whole width of the page.

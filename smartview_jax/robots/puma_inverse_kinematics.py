@@ -298,10 +298,7 @@ def _wrist_angles(
 ) -> tuple[tuple[Float[Array, ""], ...], Bool[Array, ""]]:
     """Return the angles of joints 4 to 6, and whether the wrist is singular.
 
-    Args:
-        rotation: of the hand relative to the forearm.
-        sign: of the branch.
-        near: angle of joint 4 where it is arbitrary.
+    The rotation is of the hand to the forearm; joint 4 is at `near` where it is arbitrary.
     """
     # The rotation is W = Rz(t4) Ry(-s4 t5) Rz(u) with u = -s4 s5 t6, followed by a rotation by 180
     # degrees about x if s4 = s5. That rotation is removed by `flip`.

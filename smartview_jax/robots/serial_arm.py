@@ -196,12 +196,10 @@ def pose_and_jacobian(
 def _screw_twists(
     convention: str, tool: SE3, frames: SE3, axis: int
 ) -> tuple[Float[Array, "*views joints 6"], Float[Array, "*views joints 6"]]:
-    """Return the tool's twists per unit of a turn about each joint's z or x axis, and of a slide.
+    """Return the tool's twists per unit of a turn about each joint's axis, and of a slide along it.
 
-    Args:
-        convention: of the Denavit-Hartenberg parameters.
-        tool, frames: results of `chain_frames`.
-        axis: 2 for the screws about z (`theta` and `d`), 0 for those about x (`alpha` and `a`).
+    The axis is 2 for screws about z (`theta` and `d`), 0 for those about x (`alpha` and `a`). Tool
+    and frames are from `chain_frames`.
     """
     # In the standard convention the z screw is the first of a link and the x screw the second; in
     # the modified convention it is the reverse.

@@ -124,15 +124,10 @@ def times_in_gaps(
 def _interpolation_error(
     trajectory: Trajectory, duration: float, fraction: float, usual: float
 ) -> Float[np.ndarray, "2"]:
-    """Return the RMS error of position and angle of interpolation over a duration.
+    """Return the RMS error of position (m) and angle (rad) of interpolation over a duration (s).
 
-    Args:
-        duration: of the windows, s.
-        fraction: place within the window where the pose is interpolated, 0 to 1.
-        usual: longest interval at which a log is complete, s.
-
-    Returns:
-        Position in m, angle in rad; NaN where the log has no complete window with motion.
+    The pose is interpolated at a fraction of the window. The result is NaN if no window without
+    gaps, intervals longer than the usual one (s), has motion.
     """
     logged = trajectory.times
     first = np.arange(1, len(logged) - 1)

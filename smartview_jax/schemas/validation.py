@@ -135,11 +135,7 @@ def entry_path(location: Sequence[str | int], content: Any, keep_last: bool = Fa
     """Return the dotted path of an entry in the file.
 
     The steps of pydantic's location include the alternatives of a union; they are not in the file
-    and are left out.
-
-    Args:
-        keep_last: whether to keep the last step although the file does not have it, for a missing
-            entry.
+    and are left out. The last step of a missing entry is kept on request.
     """
     # A step that is found in the content is part of the path; pydantic inserted the others, tags
     # of unions and names of types.

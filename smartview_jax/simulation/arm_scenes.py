@@ -157,11 +157,7 @@ def six_axis_scene(
 
 
 def joints_near_home(arm: SerialArm, base_from_tool: SE3) -> Float[Array, "views joints"]:
-    """Return joint angles near `HOME_JOINTS` at which the tool of an arm has the wanted poses.
-
-    Args:
-        arm: an arm of six joints.
-    """
+    """Return joint angles near `HOME_JOINTS` at which the tool has the wanted poses."""
     # The program takes seconds to compile; padded, it is the same for scenes of all usual sizes.
     near = np.tile(HOME_JOINTS, (len(base_from_tool.wxyz_xyz), 1))
     joints, reached = over_padded_views(

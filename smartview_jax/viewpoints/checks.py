@@ -173,10 +173,7 @@ def check_views(
 ) -> Checks:
     """Return the results of all checks that the given information allows.
 
-    Args:
-        camera_from_world: camera poses that the commands result in.
-        points: target points, m; None omits the checks of visibility and focus.
-        joint_solution: inverse-kinematics solution; None where no arm is known.
+    Without points (m) visibility and focus are not checked; the solution is None without an arm.
     """
     views = camera_from_world.get_batch_axes()
     finite = jnp.all(jnp.isfinite(camera_from_world.wxyz_xyz), axis=-1)

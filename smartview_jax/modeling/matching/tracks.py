@@ -86,11 +86,7 @@ class Tracks(NamedTuple):
 def epipolar_pairs(
     views: list[CornerView], first: int, second: int, depths: tuple[float, float]
 ) -> Pairs:
-    """Return pairs of corners of two views that are among the best of each other.
-
-    Args:
-        depths: smallest and largest distance of points from the cameras, m.
-    """
+    """Return pairs of corners of two views, at depths (m), among the best of each other."""
     a, b = views[first], views[second]
     i, j, similarity = _alike_on_epipolar_lines(a, b)
     points, in_range = _intersections(a, b, i, j, depths)
@@ -160,8 +156,7 @@ def supported_tracks(
 ) -> Tracks:
     """Return the tracks of pairs whose point is seen in other views too, each corner used once.
 
-    Args:
-        projected: pixels of the pairs' points in all views; NaN where not visible.
+    The pairs' points are projected to all views, px; NaN where they are not visible.
     """
     corners, similarity, distance = _supporters(views, pairs, projected)
     count = (corners >= 0).sum(axis=0)
@@ -194,8 +189,7 @@ def _supporters(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the corner in every view that is nearest to each pair's point and looks alike.
 
-    Returns:
-        indices, -1 where there is none; correlations and distances (px), NaN there.
+    Its index is -1 where there is none, and then correlation and distance (px) are NaN.
     """
     shape = projected.shape[:2]
     corners = np.full(shape, -1)

@@ -207,7 +207,6 @@ class KnownLength(AbstractConstraint):
     """An edge between two vertices has a known length; sigma in m.
 
     Attributes:
-        edge: two vertices.
         length: the length, m.
     """
 
