@@ -12,7 +12,6 @@ from typing import Any
 import smartview_jax as sv
 
 from ..files import file_transaction
-from .terminal import remark_lines
 
 
 def run_name() -> str:
@@ -46,7 +45,7 @@ class AbstractResult(abc.ABC):
     @property
     def remarks(self) -> tuple[str, ...]:
         """Notes and warnings as lines for people."""
-        return remark_lines(self.notes, self.warnings)
+        return (*self.notes, *(f"warning: {text}" for text in self.warnings))
 
     @property
     def source(self) -> str:

@@ -52,11 +52,6 @@ def print_steps(steps: Iterable[str]) -> None:
         (typer.echo if is_command else print_lines)(f"  {number}. {step}")
 
 
-def remark_lines(notes: Iterable[str], warnings: Iterable[str]) -> tuple[str, ...]:
-    """Return the notes and warnings on a result as lines for people."""
-    return (*notes, *(f"warning: {text}" for text in warnings))
-
-
 def print_table(
     headings: Iterable[str],
     rows: Iterable[Iterable[str]],

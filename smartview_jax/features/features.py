@@ -101,7 +101,8 @@ def features_from_edge_points(
     plane = IdealPlane(camera)
     lines = find_lines(grey, edge_points, plane)
     junctions = line_corners(lines)
-    corners, covariances = _corner_pixels(junctions, plane)
+    corners, derivatives = plane.to_pixels(junctions.points)
+    covariances = derivatives @ junctions.covariances @ derivatives.transpose(0, 2, 1)
     # Two lines may meet beyond the picture's border.
     inside = in_picture(corners, camera.image_size)
     junctions = LineCorners(*(part[inside] for part in junctions))
@@ -143,13 +144,6 @@ def _free_ends(
     joined = np.full((len(segment), columns), -1)
     joined[:, 0] = segment
     return ends[segment, side], covariances[segment, side], joined
-
-
-def _corner_pixels(junctions: LineCorners, plane: IdealPlane) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixels and covariances of the corners of segments."""
-    pixels, derivatives = plane.to_pixels(junctions.points)
-    covariances = derivatives @ junctions.covariances @ derivatives.transpose(0, 2, 1)
-    return pixels, covariances
 
 
 def _end_pixels(

@@ -80,7 +80,8 @@ def steps_diagram() -> PlotFigure:
     for k, (title, explanation, colour) in enumerate(_STEPS):
         _box(axes, -float(k), title, explanation, colour)
         if k + 1 < len(_STEPS):
-            _arrow(axes, (0.5, -k - 0.36), (0.5, -k - 0.64))
+            arrow = {"arrowstyle": "->", "color": GREY}
+            axes.annotate("", (0.5, -k - 0.64), (0.5, -k - 0.36), arrowprops=arrow)
     return figure
 
 
@@ -90,8 +91,3 @@ def _box(axes: Axes, height: float, title: str, explanation: str, colour: str) -
     axes.text(
         0.5, height, f"{title}\n{explanation}", ha="center", va="center", fontsize=10, bbox=box
     )
-
-
-def _arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
-    """Draw an arrow from one step to the next."""
-    axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": GREY})

@@ -221,7 +221,8 @@ class _ContentReader:
         """Sort in one message."""
         topic, content = message.topic, message.content
         if topic == self._image:
-            self._add_moment(message)
+            self._moments.append(self._stamp(message))
+            self._received.append(message.received)
         elif topic == self._info:
             self._camera = content if self._camera is None else self._camera
         elif topic == self._tag:
@@ -240,10 +241,6 @@ class _ContentReader:
         stamp = stamp_of(message.content.header)
         self._lags.setdefault(message.topic, array("q")).append(message.received - stamp)
         return message.received if self._sources.received else stamp
-
-    def _add_moment(self, message: Message) -> None:
-        self._moments.append(self._stamp(message))
-        self._received.append(message.received)
 
     def _add_tags(self, message: Message) -> None:
         """Keep the pose of the tag with the wanted id, or of the only tag."""
