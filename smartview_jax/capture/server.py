@@ -314,7 +314,6 @@ def serve_capture(
     """Serve the page of a session until the process is interrupted.
 
     Args:
-        session: the session, entered.
         port: port to listen on; 0 takes a free one.
         announce: called with the page's address, including the token, when the server listens.
         max_views: largest number of views of an automatic run.

@@ -324,7 +324,6 @@ class CaptureSession:
         """Forget a proposed view.
 
         Args:
-            proposal: the view.
             failed: whether it could not be taken. Nothing near it is proposed any more, and if no
                 proposal is left, others are planned.
         """

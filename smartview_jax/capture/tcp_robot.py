@@ -75,7 +75,6 @@ class TcpRobot:
 
         Args:
             host: name or address of the controller.
-            port: its port.
             pose_format: format of its poses, one of `geometry.POSE_CODECS`.
 
         Raises:

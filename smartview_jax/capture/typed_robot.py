@@ -20,7 +20,6 @@ def parse_pose(text: str, codec: PoseCodec) -> Float[np.ndarray, "4 4"]:
     or `p[0.4, 0, 0.3, 0, 3.14, 0]`. The order is the format's; decimal points are expected.
 
     Args:
-        text: the text.
         codec: its format, in the units of the manufacturer.
 
     Raises:

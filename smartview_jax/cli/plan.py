@@ -211,9 +211,6 @@ def next_views(
     Args:
         paths: the calibration, and the folder of its data set.
         camera: a known camera, which is refused.
-        limits: limits of the views.
-        robot: the robot's arm and readings.
-        progress: called with a line of text for each stage.
     """
     if camera is not None:
         raise ValueError("--camera: only with --start; the calibration contains its camera")

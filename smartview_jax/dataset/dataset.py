@@ -124,7 +124,6 @@ class Dataset(HostModule):
                 the picture), `"raise"` an error or `"mask"` the view and keep the reason.
             masked_views: views already known to be unusable, with the reason.
             pictures: one picture file per view.
-            target: the description of the target.
             joints: `(M, joints)` readings, rad, or m for a prismatic joint.
             arm: the arm whose joints these are, with its controller's nominal parameters. Poses
                 that are given as well must agree with it.

@@ -80,7 +80,6 @@ def predicted_bias(
 
     Args:
         calibration: gives the poses, the camera and the scale of the target.
-        observations: all views.
         radii: radius of each circle, in the unit of the target's points, m.
 
     Returns:

@@ -40,10 +40,5 @@ def partial_detection(count: int, index: np.ndarray, pixels: np.ndarray) -> Dete
 
 
 def empty_detection(count: int, reason: str) -> Detection:
-    """Return an empty detection.
-
-    Args:
-        count: number of points of the target.
-        reason: the reason why nothing was found.
-    """
+    """Return an empty detection."""
     return Detection(np.full((count, 2), np.nan), np.zeros(count, dtype=bool), reason)

@@ -181,7 +181,6 @@ def checked_pixels(
     Args:
         points: points of the target, one set for all views `(points, 3)` or one for each, m.
         pixels: detected points, px; NaN where a point was not detected.
-        view_ids: ids of the views.
         image_size: width and height, px.
         limits: by default `DetectionLimits()`.
 

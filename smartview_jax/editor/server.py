@@ -207,7 +207,6 @@ def serve(
     """Serve a session until the process is interrupted.
 
     Args:
-        session: the session to edit.
         port: port to listen on; 0 takes a free one.
         announce: called with the page's address, including the token, when the server listens.
 

@@ -80,7 +80,6 @@ def find(picture: np.ndarray, camera: Camera) -> Features:
 
     Args:
         picture: uint8, grey `(rows, columns)` or BGR `(rows, columns, 3)`.
-        camera: intrinsics and lens of the camera that took it.
 
     Raises:
         ValueError: the array is not a picture of the camera's size, or the picture is blank,

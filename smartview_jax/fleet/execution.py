@@ -100,7 +100,6 @@ def outcomes(
     Args:
         function: function of one input. For processes, functions, inputs and results have to be
             picklable.
-        inputs: inputs of the function.
         executor: any executor of `concurrent.futures`, which stays open; a number of processes of
             this machine; or None for as many processes as there are processors. If a given executor
             breaks, the work goes on in processes of this machine.

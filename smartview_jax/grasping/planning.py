@@ -77,7 +77,6 @@ def grasps_for(
 
     Args:
         localization: the object, with its pose and covariance.
-        gripper: the gripper.
         scene: the robot and the obstacles, without the object itself.
         motion: lengths of approach, lift and retreat.
 

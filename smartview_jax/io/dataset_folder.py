@@ -211,7 +211,6 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
     Args:
         data: a data set whose points are its target's; without a target they are listed. Or one of
             tracked poses.
-        folder: folder to create.
         pose_format: pose format of the tables: one of `POSE_CODECS`.
 
     Raises:
@@ -325,7 +324,6 @@ def write_dataset_folder(
         view_ids: one id for each pose.
         base_from_tool: reported poses, `(views)`.
         image_size: width and height, px.
-        target: the calibration target in the pictures.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         extra_entries: further entries of the description, such as `pictures` or `joints`.
         pose_format: one of `POSE_CODECS`.

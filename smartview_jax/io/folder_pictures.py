@@ -57,10 +57,7 @@ def picture_files(
     """Return the picture files of each view: one, or one for each height of a `StackedTarget`.
 
     Args:
-        described: the folder.
         pattern: of the files' names, as `schemas.dataset` defines it.
-        view_ids: ids of the views.
-        target: the calibration target in the pictures.
         board_heights: index of the height in the only picture of a view; see `read_board_heights`.
 
     Raises:

@@ -94,7 +94,6 @@ class GrowingDataset:
 
         Args:
             picture: grey or in OpenCV's colour order, of the size in the description.
-            base_from_tool: the pose that the robot reports.
             name: a new name; by default `next_name()`.
 
         Raises:

@@ -163,7 +163,6 @@ def model_from_triangles(
         triangles: counter-clockwise as seen from outside; others are turned over, and the model's
             `provenance` says so (`repaired_triangles`).
         sharp_angle: smallest bend of the surface that is an edge, rad.
-        name: of the model.
         source: origin of the mesh, for the provenance.
 
     Raises:

@@ -297,7 +297,6 @@ def write_description(
 
     Args:
         folder: folder to create.
-        target: the calibration target.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         image_size: width and height of the pictures, px.
         pose_format: one of `POSE_CODECS`.

@@ -62,7 +62,6 @@ def pose_columns(codec: PoseCodec, units: tuple[str, str] | None = None) -> tupl
     """Return the names of a pose format's columns with units appended.
 
     Args:
-        codec: the format.
         units: of length and of angle; by default the manufacturer's.
     """
     length, angle = units or codec.units

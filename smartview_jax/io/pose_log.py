@@ -156,10 +156,8 @@ def write_pose_log(
     """Write the two tables of a log, and return the entry `poses` that describes them.
 
     Args:
-        folder: of the data set.
         times: times of the poses by the robot's clock, s.
         base_from_tool: poses, `(logged)`.
-        view_ids: names of the views.
         picture_times: a time for each view by the camera's clock, s.
         pose_format: one of `POSE_CODECS`, written in its manufacturer's units.
 

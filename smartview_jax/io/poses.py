@@ -131,11 +131,9 @@ def write_poses(
     """Write a table of poses, which `poses_entry` describes.
 
     Args:
-        folder: of the data set.
         view_ids: one id for each pose.
         poses: such as the robot's reported `base_from_tool`, `(views)`.
         pose_format: one of `POSE_CODECS`, written in its manufacturer's units.
-        file: name of the table.
 
     Raises:
         ValueError: an unknown format, or a name or position with which the file could not be read
@@ -155,7 +153,6 @@ def poses_entry(
     Args:
         count: number of the table's rows; None for a table that will grow.
         pose_format: one of `POSE_CODECS`.
-        file: name of the table.
 
     Raises:
         ValueError: an unknown format.

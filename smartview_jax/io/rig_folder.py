@@ -276,7 +276,6 @@ def save_rig(rig: Rig, folder: str | os.PathLike[str], pose_format: str = "matri
 
     Args:
         rig: data sets whose points are their targets'; without a target they are listed.
-        folder: folder to create.
         pose_format: pose format of the table: one of `POSE_CODECS`.
 
     Raises:

@@ -45,8 +45,6 @@ def robot_urdf(
     Args:
         calibration: a calibration that corrects an arm's joints and links, or no robot error.
         arm: the arm of a calibration without robot error, which does not know it.
-        tool: name of the tool's link.
-        camera: name of the camera's link.
         joint_names: name of each joint, in the arm's order; by default joint_1, joint_2, ...
 
     Raises:

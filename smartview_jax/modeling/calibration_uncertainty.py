@@ -88,7 +88,6 @@ class CalibrationUncertainty(NamedTuple):
         """Return the description for views that were not used to estimate the calibration.
 
         Args:
-            views: the views.
             calibration: their calibration, or their cameras.
             covariance: a joint fit or a bound with the calibration's covariance; None for an exact
                 calibration, and for cameras, which have their own.

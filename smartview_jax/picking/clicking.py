@@ -55,7 +55,6 @@ def model_by_clicks(
         calibration: of the pictures.
         estimate: fit with the calibration's covariance, for the covariance of the vertices.
         command: reported poses of the robot, one for each view.
-        pictures: of the object.
         seen: what a person sees in the pictures.
         path: of the model's file, which includes the symmetry.
 

@@ -80,9 +80,7 @@ def run_demo(
     one with the safest grasp is picked.
 
     Args:
-        out: folder of the page and the model.
         seed: random seed of the cell and of the objects' fall.
-        views: number of views of the board.
         progress: called with a line of text for each step.
 
     Raises:

@@ -127,9 +127,7 @@ def look_for(
     that is expected to bring less than it costs is not taken.
 
     Args:
-        cell: the cell.
         scene: the calibrated robot, and the obstacles that may hide objects.
-        models: of the objects that may be there.
         region: where they may be.
         options: how many views are taken, and from where.
         noise: of the robot in these views; by default the noise of the scene's estimate.

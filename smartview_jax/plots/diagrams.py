@@ -19,11 +19,6 @@ def frames_diagram(data: Dataset, calibration: Calibration, view: int = 0) -> Pl
 
     The links between them are the transforms of the chain: grey if the robot reports them, blue if
     they are calibrated.
-
-    Args:
-        data: the views.
-        calibration: the calibration.
-        view: index of the view.
     """
     eye_in_hand = mount_frames(calibration.mount)[0] == "tool"
     base = mount_frames(calibration.mount)[1] if eye_in_hand else "base"

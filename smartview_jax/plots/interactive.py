@@ -69,8 +69,6 @@ def interactive_cameras(
     """Return the cameras and the target in the target's frame, mm, as an interactive scene.
 
     Args:
-        data: the views.
-        calibration: the calibration that places the cameras.
         rms_per_view: RMS reprojection error of each view, px, shown where the mouse points.
     """
     scene = camera_scene(data, calibration)

@@ -47,7 +47,6 @@ def parameter_intervals(
     """Draw estimates of parameters with their 95 % intervals, and the true values if known.
 
     Args:
-        fit: a joint fit.
         prefixes: how the names of the parameters in each plot begin, such as
             `camera_from_tool.translation`.
         truth: the true calibration of a simulation, with the same parameters.

@@ -66,7 +66,6 @@ def import_bag(
     Args:
         bag: a `.bag` file of ROS 1, a folder or `.db3` file of ROS 2, or an `.mcap` file.
         folder: the new folder, which must not exist yet or be empty.
-        sources: topics and frames.
         target: the target in the pictures; or its kind, such as `"charuco"`, whose lengths are
             then to be filled in; or a file, as in `target_text`. Not with poses of a tag.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.

@@ -125,7 +125,6 @@ def import_lerobot(
     Args:
         dataset: folder with `meta/info.json`, of version 2.0, 2.1 or 3.0.
         folder: the new folder, which must not exist yet or be empty.
-        sources: features, and the robot's state.
         target: the target in the pictures, or its kind, or a file, as for `import_bag`.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         choice: which pictures become views; by default `MomentChoice()`, one of every stop.

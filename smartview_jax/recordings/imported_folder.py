@@ -55,7 +55,6 @@ class ImportedFolder(NamedTuple):
         """Write the sources that were used, and the pictures that were left out, to the folder.
 
         Args:
-            recording: name of the bag or of the data set.
             stamps: time of every view, ns.
         """
         content = {

@@ -72,7 +72,6 @@ class PictureFile(NamedTuple):
 
         Args:
             folder: of the data set.
-            view: name of the view.
             first: the first picture of the data set; None for the first itself.
 
         Raises:

@@ -90,8 +90,6 @@ def write_page(
 
     Args:
         path: of the HTML file, which is written completely or not at all.
-        fit: result of `calibrate`.
-        data: data set that the fit used.
         judgement: how accurate the result is; None if nothing was computed.
         origin: data set and command of the page; None for a script's own data.
         progress: called with a line of text before the plots are drawn.
@@ -283,8 +281,6 @@ def write_evaluation_page(
     """Write the figures of the paper's evaluation: Fig. 7, and Fig. 1 in two of the pictures.
 
     Args:
-        path: of the HTML file.
-        title: of the page.
         verdict: the result in a sentence.
         calibration: the first calibration, used for predictions in the pictures.
         data: the predicted views.

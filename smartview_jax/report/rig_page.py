@@ -49,8 +49,6 @@ def rig_camera_rows(
     """Return a row for each camera: its views, errors, place on its mount and intervals.
 
     Args:
-        fit: the fit.
-        rig: the data that it was given.
         held_out: result of `held_out` for the rig; None if not computed.
     """
     used, rows = without_rejected_rig_views(rig, fit), []
@@ -207,8 +205,6 @@ def write_rig_page(
 
     Args:
         path: of the HTML file, which is written completely or not at all.
-        fit: result of `calibrate` for the rig.
-        rig: the data that it was given.
         held_out: result of `held_out` for the rig; None if not computed.
         origin: data set and command of the page; None for a script's own data.
         notes: notes to print; None for the notes of the rig's data sets.

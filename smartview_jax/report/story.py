@@ -69,10 +69,7 @@ def write_story(
     """Write a page that contains its pictures, completely or not at all.
 
     Args:
-        path: of the HTML file.
-        title: of the page.
         verdict: the result in a sentence.
-        sections: in their order.
         hand_eye_forms: the hand-eye transform in the forms of other programs, to copy
             (`joint.hand_eye_forms`).
     """

@@ -68,7 +68,6 @@ def puma_joints(arm: SerialArm, base_from_tool: PoseLike) -> JointSolution:
     coincide. The result is differentiable where a solution exists and is not singular.
 
     Args:
-        arm: a Puma-like arm, as described in the module's docstring.
         base_from_tool: wanted poses, `(*views)`.
 
     Returns:

@@ -98,7 +98,6 @@ def times_in_gaps(
     usual interval.
 
     Args:
-        trajectory: the logged poses.
         times: times within the log, s.
     """
     logged = trajectory.times

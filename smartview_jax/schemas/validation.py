@@ -36,7 +36,6 @@ def validate_content(
 
     Args:
         content: mappings, lists and values, as read from YAML or JSON.
-        schema: schema of the whole content.
         source: the file, or the file and an entry in it, for error messages; may be empty.
 
     Raises:
@@ -82,8 +81,6 @@ def write_validated(
     """Write a mapping as YAML, or as JSON if the name ends in `.json`, completely or not at all.
 
     Args:
-        path: of the file.
-        content: mappings, lists and values.
         schema: schema by which a reader validates the file.
 
     Raises:

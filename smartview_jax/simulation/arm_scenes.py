@@ -108,9 +108,6 @@ def six_axis_scene(
     """Return random views of a board of 12 x 9 points, 30 mm apart, by a 1056 px camera on an arm.
 
     Args:
-        seed: seed of numpy's generator; the same seed gives the same scene.
-        views: number of views to calibrate with.
-        held_out_views: number of held-out views.
         error_scale: errors of the arm, as multiples of `error_sigma`.
         warp_range: smallest and largest deviation of the board from its plane, m.
         error_sigma: standard deviations of the arm's errors, by the groups of `DHErrors`.

@@ -183,9 +183,7 @@ def random_scene(
 
     Args:
         seed: the same seed gives the same scene.
-        views: number of views.
         points: target points, m.
-        calibration: the true one.
         tilt: largest tilt of the camera, rad.
         distance: smallest and largest distance from the middle of the target, m.
         noise: as for `simulate`.

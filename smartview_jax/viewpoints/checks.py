@@ -290,7 +290,6 @@ def unchecked(calibration: Calibration, arm_is_known: bool) -> tuple[str, ...]:
     """Return in words which safety checks `check_views` cannot make, or only in part.
 
     Args:
-        calibration: of camera and robot.
         arm_is_known: whether joint readings were computed.
     """
     sentences = []

@@ -59,7 +59,6 @@ def plan_states(
 
     Args:
         model: the current information, and the information of states.
-        limits: limits of the views of each camera.
         stop: when the plan ends; its goal is in m.
         arm: the arm, if its joints are known.
         near: joint readings near which to solve; also needed if an arm's errors are corrected.

@@ -80,9 +80,7 @@ def situation_of_estimate(
     """Return the situation given a calibration with its covariance.
 
     Args:
-        estimate: the calibration.
         points: the target's points, m.
-        limits: limits of the views.
         readings: joint readings now, if the arm's joints are calibrated.
 
     Raises:
@@ -123,7 +121,6 @@ def situation_of_drawing(
         points: the target's points, m.
         image_size: width and height of the pictures, px.
         camera: a known camera; None for one that is assumed.
-        limits: limits of the views.
 
     Raises:
         ValueError: a missing transform, a camera with pictures of another size, or an unknown side

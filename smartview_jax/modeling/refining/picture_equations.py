@@ -121,8 +121,6 @@ def picture_equations(
     """Return the normal equations at a shape and at offsets of the calibration's numbers.
 
     Args:
-        observed: the observations.
-        shape: points and lines.
         uncertainty: the numbers and their effect on every view.
         offsets: of the numbers from the calibration.
         columns: combinations of the numbers to differentiate by.

@@ -89,7 +89,6 @@ class SimulatedCell:
         Args:
             seed: seed of everything random.
             truth: the true state; by default `random_truth` of the seed.
-            gripper: the gripper on the flange.
             bin: the bin for dropped objects; None for the bare table.
             clutter: whether the table is printed with labels and scraps.
             blur, noise: of the pictures, px and grey levels.

@@ -70,7 +70,6 @@ def random_truth(seed: int = 0, error_scale: float = 1.0) -> CellTruth:
     """Return the true state of a cell; the same seed gives the same one.
 
     Args:
-        seed: seed of the errors of arm and mounts.
         error_scale: errors of the arm, as multiples of the values in the module's docstring.
     """
     rng, arm, drawn = np.random.default_rng((seed, 9)), six_axes(), drawn_calibration()
