@@ -207,11 +207,7 @@ class CaptureSession:
                 self._proposals = list(planned)
 
     def look(self) -> Look:
-        """Return a picture with the target found in it, and the robot's pose.
-
-        Raises:
-            SourceLostError: the camera gives no picture.
-        """
+        """Return a picture, its target and the robot's pose; a SourceLostError means no picture."""
         with self._using:
             picture = self._read()
             try:
@@ -334,11 +330,7 @@ class CaptureSession:
             self._wanted.notify_all()
 
     def wait_for_fit(self, timeout: float) -> bool:
-        """Wait until no fit is due (`is_fitting`); return False if that takes too long.
-
-        Args:
-            timeout: longest time to wait, s.
-        """
+        """Wait until no fit is due (`is_fitting`); return False after the timeout, s."""
         with self._wanted:
             return self._wanted.wait_for(lambda: not self._is_fit_wanted(), timeout)
 

@@ -41,11 +41,7 @@ class TypedRobot:
     """A robot whose poses are typed or pasted by a person, one for each view."""
 
     def __init__(self, pose_format: str):
-        """Store the format.
-
-        Raises:
-            ValueError: no such pose format.
-        """
+        """Store the format; raise a ValueError if it is unknown."""
         self.codec: PoseCodec = pose_codec(pose_format)
         self._lock = threading.Lock()
         self._pose: Float[np.ndarray, "4 4"] | None = None

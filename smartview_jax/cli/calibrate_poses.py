@@ -26,11 +26,7 @@ RESULT_FILES = {
 
 @dataclass(frozen=True)
 class PoseResult(AbstractResult):
-    """A fit to tracked poses and what was computed about it.
-
-    Attributes:
-        held_out: errors of held-out pairs; None where they were not computed.
-    """
+    """A fit to tracked poses and errors of held-out pairs, None where they were not computed."""
 
     data: "sv.dataset.PoseDataset"
     name: str

@@ -60,11 +60,7 @@ class SourceOptions:
 
 
 class Sources(NamedTuple):
-    """The camera and the robot of a capture.
-
-    Attributes:
-        simulated: the simulated cell; None without one.
-    """
+    """The camera and the robot of a capture, and the simulated cell if they are its."""
 
     camera: "sv.capture.Reopened[sv.capture.Camera]"
     robot: "sv.capture.Reopened[sv.capture.Robot]"

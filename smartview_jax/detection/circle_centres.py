@@ -102,11 +102,7 @@ def predicted_bias(
 
 
 def circle_radii(target: AbstractTarget | None) -> Float[np.ndarray, "points"]:
-    """Return the radius of every circle of a target, m.
-
-    Raises:
-        ValueError: the target does not consist of circles, or does not state their radius.
-    """
+    """Return the radius of every circle of a target, m, or a ValueError if it states none."""
     if isinstance(target, StackedTarget):
         return np.tile(circle_radii(target.board), len(target.heights))
     if not isinstance(target, CircleGrid):

@@ -31,11 +31,7 @@ _CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.1)
 
 
 def dictionary_by_name(name: str) -> cv2.aruco.Dictionary:
-    """Return one of OpenCV's marker dictionaries.
-
-    Args:
-        name: OpenCV's name for it, which targets have already checked.
-    """
+    """Return one of OpenCV's marker dictionaries by its name there."""
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 

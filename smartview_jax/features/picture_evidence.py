@@ -158,11 +158,7 @@ def _evidence(
 def evidence_of_points(
     evidence: PictureEvidence, free: Bool[np.ndarray, "points"], camera: Camera
 ) -> PictureEvidence:
-    """Return the evidence of a picture without the segments along edge points that are taken.
-
-    Args:
-        free: which edge points are not taken.
-    """
+    """Return the evidence of a picture without segments along edge points that are not free."""
     segments, pixels = evidence.features.segments, evidence.edge_points.pixels
     if free.all() or not len(segments):
         return evidence

@@ -213,10 +213,9 @@ def _outcome_of(number: int, future: Future[Any]) -> Outcome:
 
 
 class _Workers:
-    """The executor that runs the jobs, and its replacement after a worker was killed.
+    """The executor that runs the jobs, replaced after a worker was killed.
 
-    Attributes:
-        has_finished_a_job: whether any job has finished, so that its programs are compiled.
+    Once a job has finished, its programs are compiled.
     """
 
     def __init__(self, executor: Executor | int | None, optimise: bool = False):

@@ -34,11 +34,7 @@ It touches whatever it stands on and leans against, and its pose is not exact.
 
 
 class Contact(NamedTuple):
-    """The smallest distance of a moving part from an obstacle.
-
-    Attributes:
-        clearance: the distance between them, m; zero where they touch.
-    """
+    """The smallest distance (clearance, m) of a moving part from an obstacle; zero at contact."""
 
     part: str
     obstacle: str
@@ -55,11 +51,7 @@ class CollisionChecker:
     """Obstacles prepared for distance queries."""
 
     def __init__(self, obstacles: Sequence[Obstacle]):
-        """Prepare the obstacles.
-
-        Raises:
-            ImportError: python-fcl is not installed.
-        """
+        """Prepare the obstacles; raise an ImportError without python-fcl."""
         self._fcl = import_extra("fcl", "cell", "checking collisions")
         self._names = [obstacle.name for obstacle in obstacles]
         # Bounding boxes rule out most pairs before fcl is called.

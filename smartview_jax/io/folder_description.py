@@ -35,11 +35,7 @@ DESCRIPTION_FILE = "dataset.yaml"
 
 
 class DescribedFolder(NamedTuple):
-    """A folder with the entries of its description, which readers of its parts take.
-
-    Attributes:
-        path: of the description, for messages.
-    """
+    """A folder with the entries of its description, which readers of its parts take."""
 
     folder: Path
     content: dict[str, Any]

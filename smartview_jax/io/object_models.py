@@ -108,11 +108,7 @@ def object_model_to_dict(model: ObjectModel) -> dict[str, Any]:
 
 
 def object_model_from_dict(content: Any) -> ObjectModel:
-    """Return the model of a file's content, converted to metres.
-
-    Raises:
-        ValueError: naming the entry that is missing or wrong.
-    """
+    """Return the model of a file's content, in metres; a ValueError names a wrong entry."""
     file = schemas.validate_content(content, schemas.OBJECT_MODEL_SCHEMA)
     scale = LENGTH_UNITS[file.unit]
     symmetry = file.symmetry

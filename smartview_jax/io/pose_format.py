@@ -59,11 +59,7 @@ class PoseFormat(NamedTuple):
 
 
 def pose_columns(codec: PoseCodec, units: tuple[str, str] | None = None) -> tuple[str, ...]:
-    """Return the names of a pose format's columns with units appended.
-
-    Args:
-        units: of length and of angle; by default the manufacturer's.
-    """
+    """Return the names of a pose format's columns with units, by default the manufacturer's."""
     length, angle = units or codec.units
     # Numbers without a unit, such as a quaternion's, keep their bare names.
     return tuple(

@@ -304,11 +304,7 @@ def _view_command(view: NextView) -> Command:
 
 
 def _command(cell: Cell, scene: GraspScene, view: SE3) -> Command:
-    """Return the command for one view, given as a batch of one.
-
-    Raises:
-        CellError: the arm does not reach it.
-    """
+    """Return the command for one view, a batch of one; a CellError if the arm does not reach it."""
     near = _start_joints(cell, scene.arm)
     arm = None if near is None else scene.arm
     commands = viewpoint_commands(scene.calibration, view, arm=arm, near=near)

@@ -38,11 +38,7 @@ class CameraScene(NamedTuple):
 
 
 def camera_scene(data: Dataset, calibration: Calibration) -> CameraScene:
-    """Return the poses of a data set's cameras according to a calibration.
-
-    Raises:
-        ValueError: no view shows any point.
-    """
+    """Return the poses of the cameras by a calibration; a ValueError if no view shows a point."""
     visible = np.asarray(data.visible)
     if not visible.any():
         raise ValueError("data: no view shows any point, so there is nothing to draw")

@@ -52,11 +52,7 @@ class ImportedFolder(NamedTuple):
     target_is_template: bool
 
     def write_record(self, recording: str, stamps: Int[np.ndarray, "views"]) -> None:
-        """Write the sources that were used, and the pictures that were left out, to the folder.
-
-        Args:
-            stamps: time of every view, ns.
-        """
+        """Write to the folder the sources used, the pictures left out, and each view's time, ns."""
         content = {
             "recording": recording,
             "notes": list(self.notes),

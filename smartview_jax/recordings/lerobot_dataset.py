@@ -54,11 +54,7 @@ class Frames(NamedTuple):
 
 
 class LeRobotDataset:
-    """A folder of LeRobot.
-
-    Attributes:
-        features: description of each feature by its name.
-    """
+    """A folder of LeRobot, with the description of each feature by its name."""
 
     def __init__(self, path: Path):
         """Read the description.

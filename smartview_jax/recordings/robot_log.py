@@ -38,11 +38,7 @@ class JointLog(NamedTuple):
 
 
 class RobotLog(NamedTuple):
-    """The robot's motion: poses, joint readings, or both.
-
-    Attributes:
-        chain: transforms from base to tool; None if the arm's kinematics gives the poses.
-    """
+    """The robot's motion by a chain from base to tool, by an arm's joint readings, or by both."""
 
     chain: Chain | None
     joints: JointLog | None

@@ -46,11 +46,7 @@ MIN_SHOWN_SHARE = 0.01
 def rig_camera_rows(
     fit: RigFit, rig: Rig, held_out: Mapping[str, HeldOutErrors] | None = None
 ) -> list[tuple[str, ...]]:
-    """Return a row for each camera: its views, errors, place on its mount and intervals.
-
-    Args:
-        held_out: result of `held_out` for the rig; None if not computed.
-    """
+    """Return a row for each camera: its views, errors (held out, if any), place and intervals."""
     used, rows = without_rejected_rig_views(rig, fit), []
     for name, calibration in fit.calibrations.items():
         data = used.cameras[name]

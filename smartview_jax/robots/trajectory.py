@@ -36,11 +36,7 @@ class Trajectory(NamedTuple):
 
     @classmethod
     def of(cls, times: Float[np.ndarray, "logged"], base_from_tool: PoseLike) -> "Trajectory":
-        """Return a trajectory after checking it.
-
-        Raises:
-            ValueError: too few poses, or times that do not increase.
-        """
+        """Return a trajectory; a ValueError for too few poses, or times that do not increase."""
         seconds, poses = np.asarray(times, dtype=float), host_matrices(as_se3(base_from_tool))
         if seconds.shape != (len(poses),) or len(poses) < MIN_LOGGED_POSES:
             raise ValueError(
@@ -65,11 +61,7 @@ class Trajectory(NamedTuple):
         return ~((self.times[0] <= times) & (times <= self.times[-1]))
 
     def at(self, times: Float[np.ndarray, "views"]) -> Float[np.ndarray, "views 4 4"]:
-        """Return the poses at some times, which must be within the logged times.
-
-        Raises:
-            ValueError: a time before the first or after the last logged one.
-        """
+        """Return the poses at some times; a ValueError for a time outside the log."""
         outside = self.outside(times)
         if outside.any():
             time = times[int(np.argmax(outside))]

@@ -223,11 +223,7 @@ class ViewRequirements:
             )
 
     def may_be_taken(self, poses: SE3) -> Bool[np.ndarray, "views"]:
-        """Return which poses are finite and allowed.
-
-        Raises:
-            ValueError: `allowed` does not return a flag for each view.
-        """
+        """Return which poses are finite and allowed; a ValueError unless each view has a flag."""
         finite = np.asarray(np.isfinite(np.asarray(poses.wxyz_xyz)).all(axis=1))
         if self.allowed is None:
             return finite

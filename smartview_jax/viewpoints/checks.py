@@ -129,13 +129,7 @@ class Checks(eqx.Module):
         )
 
     def reasons(self, check_names: tuple[str, ...] = tuple(CHECK_MESSAGES)) -> tuple[str, ...]:
-        """Return the reasons of all failed checks for each viewpoint, in flat order.
-
-        A reason is empty where all checks pass.
-
-        Args:
-            check_names: names of the checks to report.
-        """
+        """Return the reasons of the named checks that failed, by viewpoint; empty if none did."""
         failed = {name: ~np.ravel(mask) for name, mask in self.passed.items()}
         measured = {name: np.ravel(values) for name, values in self.measured.items()}
         checks = [name for name in CHECK_MESSAGES if name in failed and name in check_names]
@@ -287,11 +281,7 @@ def _tool_in_world(calibration: Calibration, command: Command) -> Float[Array, "
 
 
 def unchecked(calibration: Calibration, arm_is_known: bool) -> tuple[str, ...]:
-    """Return in words which safety checks `check_views` cannot make, or only in part.
-
-    Args:
-        arm_is_known: whether joint readings were computed.
-    """
+    """Return in words which safety checks `check_views` cannot make, with or without an arm."""
     sentences = []
     region = calibration.region
     if region is not None and float(region.side) == 0.0:

@@ -29,11 +29,7 @@ from .constraint_geometry import (
 
 @dataclasses.dataclass(frozen=True)
 class AbstractConstraint(abc.ABC):
-    """A known property of an object.
-
-    Attributes:
-        sigma: standard deviation, m or rad as the constraint says; None is exact.
-    """
+    """A known property of an object; `sigma` is its standard deviation, m or rad, None if exact."""
 
     sigma: float | None = dataclasses.field(default=None, kw_only=True)
 
@@ -204,11 +200,7 @@ class EqualLength(AbstractEdgePair):
 
 @dataclasses.dataclass(frozen=True)
 class KnownLength(AbstractConstraint):
-    """An edge between two vertices has a known length; sigma in m.
-
-    Attributes:
-        length: the length, m.
-    """
+    """An edge between two vertices has a known length, m; sigma in m."""
 
     edge: tuple[int, int]
     length: float
@@ -232,10 +224,7 @@ class KnownLength(AbstractConstraint):
 class Symmetric(AbstractConstraint):
     """Pairs of vertices are mirror images in an unknown plane; sigma in m.
 
-    A vertex in the plane is paired with itself.
-
-    Attributes:
-        pairs: indices of the vertices; at least one pair of different ones.
+    A vertex in the plane is paired with itself; at least one pair has different ones.
     """
 
     pairs: tuple[tuple[int, int], ...]
