@@ -161,7 +161,6 @@ def _row(
 
 
 def _outcome_words(converged: bool, warnings: int) -> str:
-    """Return the outcome of a calibration in a word or two."""
     if not converged:
         return "not converged"
     return f"{warnings} warning{'s' if warnings > 1 else ''}" if warnings else "good"

@@ -198,7 +198,6 @@ def _halves(split_half: "sv.evaluation.SplitHalfDifference | None") -> dict[str,
 
 
 def _print_budget(budget: "sv.evaluation.ErrorBudget") -> None:
-    """Print the error budget, and the scale hypotheses if there are any."""
     rows = [row[:2] for row in sv.report.budget_rows(budget)]
     title = "where the error comes from"
     print_table(("cause", "RMS"), rows, title=title, box=box.SIMPLE_HEAD)

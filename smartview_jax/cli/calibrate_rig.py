@@ -193,7 +193,6 @@ def _of_cameras(rig: "sv.Rig", known: dict[str, _Known] | None) -> dict[str, _Kn
 
 
 def _refuse_other_options(settings: CalibrateSettings) -> None:
-    """Raise a ValueError for an option that a rig does not have."""
     known = dataclasses.asdict(settings.known)
     taken = ("camera", "start", "prior")
     given = [f"--{name}" for name, value in known.items() if value and name not in taken]

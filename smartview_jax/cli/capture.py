@@ -169,7 +169,6 @@ def _options(
     sources: Sources,
     auto: bool,
 ) -> "sv.capture.CaptureOptions":
-    """Return the choices of the options."""
     described = data.description
     rough = parse_transforms(wanted.start, described.mount) if wanted.start else {}
     mount_name, holder_name = sv.calibration.transform_names(described.mount)

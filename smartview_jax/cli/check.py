@@ -327,7 +327,6 @@ def _document(
     problems: Sequence[str],
     doubts: Sequence[str],
 ) -> dict[str, Any]:
-    """Return figures, problems and doubts as values for programs."""
     least, greatest, median = figures.points
     extent, rotation = figures.extent, figures.largest_rotation
     return {

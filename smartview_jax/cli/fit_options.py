@@ -212,7 +212,6 @@ def _refuse_contradictions(
     priors: "dict[str, sv.Prior]",
     units: dict[str, str],
 ) -> None:
-    """Raise a ValueError for options that contradict each other."""
     held = {name for path in fixed for name in _names_of("--fixed", path, units)}
     # A known camera is held as a whole.
     if camera_is_known:

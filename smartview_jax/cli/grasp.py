@@ -117,7 +117,6 @@ def grasp(
 
 
 def _pose(option: str, text: str) -> np.ndarray:
-    """Return the 4x4 transform of an option."""
     return sv.geometry.host_matrices(sv.io.parse_rough_pose(option, text))
 
 

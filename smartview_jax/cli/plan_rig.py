@@ -76,7 +76,6 @@ def plan_rig(
 
 
 def _arm_of(rig: "sv.Rig", estimate: "sv.joint.RigEstimate", paths: Sequence[Path]) -> str:
-    """Return the arm of the calibrated cameras."""
     for arm in rig.arm_names:
         if set(rig.of_arm(arm).cameras) == set(estimate.calibrations):
             return arm

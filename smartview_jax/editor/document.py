@@ -187,7 +187,6 @@ def _pixel(pixel: Any) -> tuple[float, float]:
 
 
 def _add_point(document: Document, clicks: Mapping[str, Any]) -> Document:
-    """Add a point with its clicks in one or more views."""
     return document._added("points", {view: _pixel(pixel) for view, pixel in clicks.items()})
 
 
@@ -229,7 +228,6 @@ def _delete(document: Document, kind: str, id: int) -> Document:
 
 
 def _add_edge(document: Document, ends: Any) -> Document:
-    """Add an edge between two points."""
     a, b = document.existing_points(ends)
     if a == b:
         raise ValueError(f"an edge joins two different points, found point {a} twice")
@@ -276,13 +274,11 @@ def _checked_face(document: Document, face: DrawnFace) -> DrawnFace:
 
 
 def _add_grasp(document: Document, face: int, **values: Any) -> Document:
-    """Add a grasp on a face."""
     document.existing("faces", face)
     return document._added("grasps", _checked_grasp(PlacedGrasp(face), values))
 
 
 def _change_grasp(document: Document, id: int, **values: Any) -> Document:
-    """Move, turn, open or rename a grasp."""
     changed = _checked_grasp(document.existing("grasps", id), values)
     document.existing("faces", changed.face)
     return document._changed("grasps", id, changed)
@@ -322,7 +318,6 @@ def _add_constraint(
 
 
 def _rename(document: Document, name: str) -> Document:
-    """Give the object a name."""
     require_readable_or_empty("object", name)
     return dataclasses.replace(document, name=name)
 

@@ -133,7 +133,6 @@ class Journal:
 
 
 def _line(entry: Mapping[str, Any]) -> bytes:
-    """Return the line of an entry."""
     return json.dumps(entry, allow_nan=False).encode() + b"\n"
 
 

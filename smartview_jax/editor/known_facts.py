@@ -49,7 +49,6 @@ def _pair(group: tuple[int, ...]) -> tuple[int, int]:
 
 
 def _length(groups: Groups, value: float | None, sigma: float | None) -> AbstractConstraint:
-    """Return the constraint of a known length."""
     if value is None:
         raise ValueError("known length: the length is missing")
     return KnownLength(_pair(groups[0]), value, sigma=sigma)

@@ -114,7 +114,6 @@ class CollisionChecker:
     def _convex(
         self, vertices: Float[np.ndarray, "vertices 3"], triangles: Int[np.ndarray, "triangles 3"]
     ) -> Any:
-        """Return a convex solid."""
         # fcl takes faces as one list, each after its number of vertices.
         faces = np.column_stack([np.full(len(triangles), 3), triangles]).ravel()
         solid = self._fcl.Convex(np.ascontiguousarray(vertices), len(triangles), faces)

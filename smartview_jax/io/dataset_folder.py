@@ -235,7 +235,6 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
 
 
 def _save_tracked_poses(data: PoseDataset, folder: Path, pose_format: str) -> None:
-    """Write a data set of tracked poses to a folder."""
     entries = {
         "mount": data.mount,
         "poses": poses_entry(data.view_count, pose_format),
@@ -247,7 +246,6 @@ def _save_tracked_poses(data: PoseDataset, folder: Path, pose_format: str) -> No
 
 
 def _save_pictures(data: Dataset, folder: Path, pose_format: str) -> None:
-    """Write a data set of detected points to a folder."""
     target = described_target(data, "save_dataset: the data set")
     base_from_tool, of_other = data.base_from_tool, {}
     if data.hands is not None:

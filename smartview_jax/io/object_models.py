@@ -155,7 +155,6 @@ def _readable_json(content: dict[str, Any]) -> str:
 
 
 def _face_to_dict(face: Face) -> dict[str, Any]:
-    """Return a face as a mapping, without empty entries."""
     return {
         **({"name": face.name} if face.name else {}),
         "loop": list(face.loop),
@@ -214,7 +213,6 @@ def _covariance(entry: Any) -> np.ndarray:
 
 
 def _matrix(rows: list[list[float]], entry: str) -> np.ndarray:
-    """Return rows of numbers as a matrix."""
     if len({len(row) for row in rows}) > 1:
         raise ValueError(f"{entry}: its rows have different lengths")
     return np.array(rows, float).reshape(len(rows), -1)

@@ -214,7 +214,6 @@ def _views_of_camera(
 def _cameras(
     described: DescribedFolder, description: "schemas.RigFile"
 ) -> dict[str, FolderDescription]:
-    """Return the description of each camera."""
     folder, content = described.folder, described.content
     with errors_at(described.path):
         named = content.get("targets") or {"": content["target"]}
@@ -297,7 +296,6 @@ def save_rig(rig: Rig, folder: str | os.PathLike[str], pose_format: str = "matri
 
 
 def _save_rig(rig: Rig, folder: Path, pose_format: str) -> None:
-    """Write a rig to a folder."""
     targets = _described_targets(rig)
     several = len(rig.robot_names) > 1
     places = {arm: f"{arm}/" if several else "" for arm in rig.robot_names}
@@ -353,7 +351,6 @@ def _states(rig: Rig, arm: str) -> dict[str, Float[np.ndarray, "4 4"]]:
 
 
 def _described_targets(rig: Rig) -> dict[str, AbstractTarget]:
-    """Return the targets by name."""
     targets: dict[str, AbstractTarget] = {}
     # The target of listed points may be described by another camera.
     for name, data in sorted(rig.cameras.items(), key=lambda item: item[1].target is None):

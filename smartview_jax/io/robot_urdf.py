@@ -169,7 +169,6 @@ def _joint(
     origin: Float[np.ndarray, "4 4"],
     motion: tuple[str, list[str]] = ("fixed", []),
 ) -> list[str]:
-    """Return the lines of a joint."""
     kind, lines = motion
     return [
         f'  <joint name="{name}" type="{kind}">',

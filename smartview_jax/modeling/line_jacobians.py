@@ -144,7 +144,6 @@ def _jacobians(
     Float[Array, "views lines 2 4"],
     Float[Array, "views lines 2 local"],
 ]:
-    """Return the arrays of `LineJacobians`."""
     count = ravelled_cameras(camera)[0].size
 
     def of_end(

@@ -212,7 +212,6 @@ def _refine(
     covariances: Float[np.ndarray, "views lines 2 2 2"],
     seen: Bool[np.ndarray, "views lines"],
 ) -> _Estimate:
-    """Minimise the whitened distances."""
     # All lines step together, each with its own damping; for so few of them a loop within a
     # compiled program does not pay.
     lines, enough = start.lines, seen.sum(axis=0) >= 2

@@ -100,7 +100,6 @@ def estimate_points(
 
 @jax.custom_jvp
 def _estimate(problem: PointProblem) -> PointSolution:
-    """Estimate all points of a problem at once."""
     start, degenerate, enough = nearest_to_rays(problem)
     points, at, decrement = _minimise(problem, start, degenerate | ~enough)
     return _solution(problem, points, at, (decrement, degenerate, enough))

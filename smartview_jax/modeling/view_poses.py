@@ -340,8 +340,6 @@ def _project(
     camera_from_world: Float[Array, "views 4 4"],
     points: Float[Array, "points 3"],
 ) -> Float[Array, "views points 2"]:
-    """Return the pixels of points in all views."""
-
     def project_in_view(
         view_camera: AnyCamera, matrix: Float[Array, "4 4"]
     ) -> Float[Array, "points 2"]:

@@ -219,7 +219,6 @@ def _first_views(
     first: FirstViews,
     say: Callable[[str], None],
 ) -> list[_View]:
-    """Return the initial views."""
     # Aimed above the floor, where objects are.
     middle = region.centre + np.array([0.0, 0.0, 0.25 * region.size[2]])
     views, reasons = [], []

@@ -97,7 +97,6 @@ def grasp_section(attempt: Pick, strip: list[tuple[str, np.ndarray]]) -> Section
 
 
 def _phase_name(phase: str) -> str:
-    """Return the printed name of a phase."""
     return phase.replace("_", "-")
 
 

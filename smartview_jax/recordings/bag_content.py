@@ -255,7 +255,6 @@ class _ContentReader:
             raise ValueError(f"tag_id: expected the id of one of several tags; there are {ids}")
 
     def _add_transforms(self, message: Message) -> None:
-        """Keep the transforms of tf."""
         static = message.topic.rstrip("/").endswith(_STATIC_TOPIC)
         transforms = message.content.transforms
         if not static and len(transforms):

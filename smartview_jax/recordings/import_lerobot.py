@@ -161,7 +161,6 @@ def _write(
     target: TargetText,
     progress: Callable[[str], None] | None,
 ) -> ImportedFolder:
-    """Write everything to a folder."""
     report = progress or (lambda _: None)
     image = recording.image_feature(sources.image)
     numbers = _columns_of_state(recording, sources)

@@ -217,7 +217,6 @@ class LeRobotDataset:
                 yield places[episode, number], content
 
     def _files(self, folder: str, meaning: str) -> list[Path]:
-        """Return the tables in a folder, in order."""
         files = sorted((self.path / folder).rglob("*.parquet"))
         if not files:
             raise FileNotFoundError(f"{self.path / folder}: no tables (.parquet) of the {meaning}")

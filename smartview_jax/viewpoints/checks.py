@@ -150,7 +150,6 @@ class Checks(eqx.Module):
 
 
 def _all_of(masks: list[Bool[Array, "*views"]]) -> Bool[Array, "*views"]:
-    """Return where all masks are True."""
     if is_traced(masks):
         return jnp.all(jnp.stack(masks), axis=0)
     return to_device(np.all([np.asarray(mask) for mask in masks], axis=0))

@@ -96,7 +96,6 @@ def plan_states(
 
 
 def _range_of(model: RigInformationModel, name: str, limits: ViewLimits) -> ViewRange:
-    """Return the range of new views of one camera."""
     points = np.asarray(model.rig.cameras[name].points[0])
     with errors_at(f"camera {name!r}"):
         return views_near_calibrated(model.calibrations[name], points, limits)

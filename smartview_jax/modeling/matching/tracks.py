@@ -218,7 +218,6 @@ def _supporters(
 
 
 def _patches_of(views: list[CornerView], pairs: Pairs, side: int) -> np.ndarray:
-    """Return the patches of the first or second corner of each pair."""
     patches = np.empty((len(pairs.views), views[0].patches.shape[1]))
     for k, view in enumerate(views):
         in_view = pairs.views[:, side] == k
