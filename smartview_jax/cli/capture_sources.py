@@ -60,7 +60,7 @@ class SourceOptions:
 
 
 class Sources(NamedTuple):
-    """The camera and the robot of a capture, and the simulated cell if they are its."""
+    """The camera and the robot of a capture, and the simulated cell that they belong to, if any."""
 
     camera: "sv.capture.Reopened[sv.capture.Camera]"
     robot: "sv.capture.Reopened[sv.capture.Robot]"

@@ -274,7 +274,7 @@ class Dataset(HostModule):
         return as_se3(this_arm @ np.linalg.inv(relative) @ np.linalg.inv(other))
 
     def with_bases(self, base_from_other_base: SE3) -> "Dataset":
-        """Return the data set with the target arm's base in the camera arm's; of one arm itself."""
+        """Return the data of two arms with their bases so placed; of one arm as they are."""
         if self.hands is None:
             return self
         poses = self.hands.host_other_tool_from_tool(base_from_other_base)

@@ -102,7 +102,7 @@ def predicted_bias(
 
 
 def circle_radii(target: AbstractTarget | None) -> Float[np.ndarray, "points"]:
-    """Return the radius of every circle of a target, m, or a ValueError if it states none."""
+    """Return the radius of every circle of a target, m; raise a ValueError if it states none."""
     if isinstance(target, StackedTarget):
         return np.tile(circle_radii(target.board), len(target.heights))
     if not isinstance(target, CircleGrid):

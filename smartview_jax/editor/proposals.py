@@ -78,7 +78,7 @@ class Proposals:
         return {"do": "several", "changes": changes}
 
     def decide(self, numbers: Sequence[int], document_before: Document | None) -> None:
-        """Remove points from the offer, after they were rejected, or added to a document before."""
+        """Remove accepted points from the offer, given the document before it, or rejected ones."""
         for k, number in enumerate(numbers):
             self.points.pop(number, None)
             if document_before is not None:

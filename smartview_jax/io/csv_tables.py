@@ -39,7 +39,7 @@ class Table:
     written_header: tuple[str, ...]
 
     def view_ids(self, content: str = "") -> list[str]:
-        """Return the names of the views, one for each row; no rows are an error if named."""
+        """Return the views' names, one for each row; an error names content of no rows."""
         views = [row[VIEW_COLUMN] for row in self.rows]
         if repeated := duplicates(views):
             raise ValueError(f"{self.path}: view {', '.join(repeated)} has more than one row")

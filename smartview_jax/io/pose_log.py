@@ -28,7 +28,7 @@ from .csv_tables import (
     write_table,
 )
 from .pose_format import decoded_poses, table_format
-from .poses import RobotReadings
+from .poses import RobotReadings, poses_entry
 
 LOG_FILE, TIMES_FILE = "log.csv", "times.csv"
 """The names of the files that `write_pose_log` writes."""
@@ -174,15 +174,7 @@ def write_pose_log(
     write_table(folder / LOG_FILE, ("time", *codec.columns), rows)
     views = list(zip(view_ids, np.asarray(picture_times).tolist(), strict=True))
     write_table(folder / TIMES_FILE, ("view", "time"), views)
-    return {
-        "file": LOG_FILE,
-        "codec": codec.name,
-        "length_unit": codec.units[0],
-        "angle_unit": codec.units[1],
-        "direction": "base_from_tool",
-        "rows": len(rows),
-        "picture_times": TIMES_FILE,
-    }
+    return {**poses_entry(len(rows), pose_format, LOG_FILE), "picture_times": TIMES_FILE}
 
 
 def _in_order(

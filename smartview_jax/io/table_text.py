@@ -103,7 +103,7 @@ def decoded_lines(path: Path) -> tuple[list[str], str]:
 
 
 def read_table_text(path: Path, is_header: Callable[[Sequence[str]], bool]) -> TableText:
-    """Read the fields of a table; of the separators, one gives a header that the caller accepts."""
+    """Read a table's fields, with the separator that gives a header which the caller accepts."""
     lines, encoding = decoded_lines(path)
     seen = [f"in the encoding {encoding}"] if encoding else []
     comments = tuple(line for line in lines if line.startswith("#"))
