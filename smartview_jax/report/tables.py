@@ -247,9 +247,7 @@ def robot_error_row(estimate: NoiseEstimate) -> tuple[str, str]:
         for candidate in sorted(estimate.candidates, key=lambda c: -c.probability)
         if candidate.probability >= 0.005
     )
-    name = estimate.name
-    if name in MODEL_DESCRIPTIONS:
-        name = f"{name} ({MODEL_DESCRIPTIONS[name]})"
+    name = _model_with_description(estimate.name)
     field = estimate.field
     about = ", about the errors of its type" if field is not None and field.is_about_type else ""
     return "errors of the robot", f"{name}{about}; probabilities: {probabilities}"
@@ -267,6 +265,11 @@ MODEL_DESCRIPTIONS = {
     "elastic_dh": "zeros and compliances of the joints, lengths and twists of the links",
 }
 """Descriptions of the robot error models, by name."""
+
+
+def _model_with_description(name: str) -> str:
+    """Return the name of a robot error model with its description."""
+    return f"{name} ({MODEL_DESCRIPTIONS[name]})" if name in MODEL_DESCRIPTIONS else name
 
 
 def model_counts_text(names: Iterable[str]) -> str:
