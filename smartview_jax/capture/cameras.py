@@ -25,11 +25,7 @@ class OpenCVCamera:
     is_continuous: bool = True
 
     def __init__(self, index: int):
-        """Open the camera.
-
-        Raises:
-            SourceLostError: there is no such camera.
-        """
+        """Open the camera; raise a SourceLostError if there is none."""
         self._name = f"camera {index}"
         self._capture = _opened(index, self._name)
 
@@ -55,11 +51,7 @@ class VideoFile:
     is_continuous: bool = True
 
     def __init__(self, path: str | os.PathLike[str]):
-        """Open the video.
-
-        Raises:
-            SourceLostError: it cannot be opened.
-        """
+        """Open the video; raise a SourceLostError if it cannot be opened."""
         self._name = str(path)
         self._capture = _opened(self._name, self._name)
         self._last: np.ndarray | None = None
@@ -93,14 +85,7 @@ class PictureFolder:
     is_continuous: bool = False
 
     def __init__(self, folder: str | os.PathLike[str]):
-        """Store the folder.
-
-        Args:
-            folder: folder of the pictures.
-
-        Raises:
-            SourceLostError: there is no such folder.
-        """
+        """Store the folder; raise a SourceLostError if there is none."""
         self._folder = Path(folder)
         if not self._folder.is_dir():
             raise SourceLostError(f"{folder}: no such folder")

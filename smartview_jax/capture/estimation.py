@@ -49,11 +49,9 @@ class CaptureOptions:
 
     Attributes:
         goal: expected error at which to stop, m.
-        limits: limits of the views.
         start: rough poses of camera and target, by name; without them nothing is proposed before
             the first fit.
         camera: a known camera; None to estimate it.
-        lens: the lens model.
         motion: limits of the robot's motions; None if it is not to move.
         first_fit: number of views from which on they are fitted.
     """
@@ -142,16 +140,7 @@ def first_proposals(
     options: CaptureOptions,
     avoided: Float[np.ndarray, "places 4 4"] | None = None,
 ) -> tuple[Proposal, ...]:
-    """Return the first views, planned from the rough transforms of the options.
-
-    Args:
-        described: target, mount and size of the pictures.
-        options: the transforms, and the limits of views and robot.
-        avoided: poses near which no view is wanted, m.
-
-    Raises:
-        ValueError: a missing transform, or too few views within the limits.
-    """
+    """Return the first views, planned from the rough transforms, none near an avoided pose."""
     situation = situation_of_drawing(
         options.start or {},
         described.mount,
@@ -167,15 +156,9 @@ def first_proposals(
 def estimate(
     data: Dataset, options: CaptureOptions, avoided: Float[np.ndarray, "places 4 4"] | None = None
 ) -> Estimate:
-    """Fit the views, and plan the next ones.
+    """Fit the views, and plan the next ones; a failed fit is no error: more views will help.
 
-    A fit that fails is no error here: more views will help.
-
-    Args:
-        data: the views so far.
-        options: a known camera, the lens, the goal, and the limits of views and robot.
-        avoided: poses near which no further view is wanted, m: of views, and of places that the
-            robot did not reach.
+    No view is planned near the avoided poses: views taken, and places the robot did not reach.
     """
     try:
         fit = calibrate(data, options.lens, camera=options.camera)

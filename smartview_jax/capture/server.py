@@ -47,12 +47,7 @@ class CapturePage:
     """A session as the page shows it, with the threads that look and move."""
 
     def __init__(self, session: CaptureSession, max_views: int = 40):
-        """Store the session.
-
-        Args:
-            session: the session, entered.
-            max_views: largest number of views of an automatic run.
-        """
+        """Store the session and the largest number of views of an automatic run."""
         self._session, self._max_views = session, max_views
         session.listener = self.note
         self._closing = threading.Event()
@@ -175,8 +170,7 @@ class CapturePage:
     def do(self, message: Any) -> dict[str, Any]:
         """Execute a command of the page, and return whether it went well and what to say.
 
-        Args:
-            message: a mapping with `do`: take, move, skip, run, stop or pose (with `text`).
+        The message has `do`: take, move, skip, run, stop or pose (with `text`).
         """
         command = message.get("do") if isinstance(message, dict) else None
         # At once, whatever else is done.
@@ -263,16 +257,7 @@ class CapturePage:
 
 
 def capture_app(page: CapturePage, token: str, port: int) -> Any:
-    """Return the ASGI application of a capture.
-
-    Args:
-        page: the session as it is shown.
-        token: the token that the first request must have.
-        port: port of the server, part of the accepted origin.
-
-    Raises:
-        ImportError: starlette is not installed.
-    """
+    """Return the ASGI application of a capture; the first request must have the token."""
     import_extra("starlette", "editor", "the page of smartview capture")
     from starlette.applications import Starlette
     from starlette.responses import JSONResponse, PlainTextResponse, Response
@@ -335,7 +320,6 @@ def serve_capture(
     """Serve the page of a session until the process is interrupted.
 
     Args:
-        session: the session, entered.
         port: port to listen on; 0 takes a free one.
         announce: called with the page's address, including the token, when the server listens.
         max_views: largest number of views of an automatic run.

@@ -32,7 +32,6 @@ class Look(NamedTuple):
     """The present picture and pose.
 
     Attributes:
-        picture: the picture.
         detection: the target in it.
         pose: `base_from_tool` that the robot reports, m; None where it is lost.
         time: when, by `time.monotonic`, s.
@@ -55,7 +54,6 @@ class CaptureSession:
     """Views that are taken with a camera on a robot; all methods may be called by any thread.
 
     Attributes:
-        folder: the data set.
         options: goal and limits.
         listener: called with a line of text for each thing that happens.
         last_look: the last picture that was looked at; None before the first.
@@ -75,9 +73,6 @@ class CaptureSession:
         """Read the views that the folder has already.
 
         Args:
-            folder: the data set.
-            camera, robot: where pictures and poses are from.
-            options: goal and limits.
             say: called with a line of text for each thing that happens.
 
         Raises:
@@ -212,11 +207,7 @@ class CaptureSession:
                 self._proposals = list(planned)
 
     def look(self) -> Look:
-        """Return a picture with the target found in it, and the robot's pose.
-
-        Raises:
-            SourceLostError: the camera gives no picture.
-        """
+        """Return a picture, its target and the robot's pose; a SourceLostError means no picture."""
         with self._using:
             picture = self._read()
             try:
@@ -329,7 +320,6 @@ class CaptureSession:
         """Forget a proposed view.
 
         Args:
-            proposal: the view.
             failed: whether it could not be taken. Nothing near it is proposed any more, and if no
                 proposal is left, others are planned.
         """
@@ -340,11 +330,7 @@ class CaptureSession:
             self._wanted.notify_all()
 
     def wait_for_fit(self, timeout: float) -> bool:
-        """Wait until no fit is due (`is_fitting`); return False if that takes too long.
-
-        Args:
-            timeout: longest time to wait, s.
-        """
+        """Wait until no fit is due (`is_fitting`); return False after the timeout, s."""
         with self._wanted:
             return self._wanted.wait_for(lambda: not self._is_fit_wanted(), timeout)
 

@@ -4,7 +4,6 @@ import threading
 from pathlib import Path
 
 import numpy as np
-from jaxlie import SE3
 from jaxtyping import Float, UInt8
 
 from ..calibration import Calibration
@@ -27,10 +26,6 @@ class SimulatedSources:
 
     def __init__(self, seed: int = 0, cell: SimulatedCell | None = None):
         """Set up the cell, with the board on the table.
-
-        Args:
-            seed: seed of everything random.
-            cell: the cell; by default a new one.
 
         Raises:
             ImportError: a package of smartview-jax[cell] is not installed.
@@ -93,7 +88,7 @@ class SimulatedRobot:
     def pose(self) -> Float[np.ndarray, "4 4"]:
         """Return the reported pose."""
         with self._sources.lock:
-            return host_matrices(self._where())
+            return host_matrices(self._sources.cell.where().base_from_tool)
 
     def move(
         self, base_from_tool: Float[np.ndarray, "4 4"], speed: float, stop: threading.Event
@@ -107,10 +102,6 @@ class SimulatedRobot:
                 except CellError as error:
                     raise MoveRefusedError(str(error)) from error
                 self._sources.lowest = min(self._sources.lowest, self._height())
-
-    def _where(self) -> SE3:
-        """Return the reported pose as a transform."""
-        return self._sources.cell.where().base_from_tool
 
     def _height(self) -> float:
         """Return the true height of the gripper's lowest point above the table, m."""

@@ -33,11 +33,7 @@ class Camera(Protocol):
     is_continuous: bool
 
     def read(self) -> UInt8[np.ndarray, "..."]:
-        """Return a picture that was exposed after the call, grey or in OpenCV's colour order.
-
-        Raises:
-            SourceLostError: there is no picture.
-        """
+        """Return a picture exposed after the call, grey or BGR, or raise a SourceLostError."""
         ...
 
     def close(self) -> None:
@@ -50,11 +46,7 @@ class Robot(Protocol):
     """A source of poses."""
 
     def pose(self) -> Float[np.ndarray, "4 4"]:
-        """Return `base_from_tool` that the controller reports now, m.
-
-        Raises:
-            SourceLostError: the controller does not answer.
-        """
+        """Return `base_from_tool` that the controller reports, m, or raise a SourceLostError."""
         ...
 
     def close(self) -> None:
@@ -112,11 +104,7 @@ class Reopened(Generic[SourceT]):
         return self._source
 
     def get(self) -> SourceT:
-        """Return the open source.
-
-        Raises:
-            SourceLostError: it cannot be opened, or was lost a moment ago.
-        """
+        """Return the open source; a SourceLostError if it cannot be opened, or was just lost."""
         with self._lock:
             if self._source is not None:
                 return self._source

@@ -63,13 +63,7 @@ class TcpRobot:
     """A robot whose controller runs a program that answers lines of text."""
 
     def __init__(self, connection: socket.socket, name: str, codec: PoseCodec):
-        """Use a connection; `connect` and `accept` make one.
-
-        Args:
-            connection: to the controller.
-            name: of the controller, for messages.
-            codec: format of its poses.
-        """
+        """Use a connection; `connect` and `accept` make one."""
         self._socket, self._name, self._codec = connection, name, codec
         self._buffer = b""
         # A line is short and waits for its answer.
@@ -81,7 +75,6 @@ class TcpRobot:
 
         Args:
             host: name or address of the controller.
-            port: its port.
             pose_format: format of its poses, one of `geometry.POSE_CODECS`.
 
         Raises:

@@ -20,7 +20,6 @@ def parse_pose(text: str, codec: PoseCodec) -> Float[np.ndarray, "4 4"]:
     or `p[0.4, 0, 0.3, 0, 3.14, 0]`. The order is the format's; decimal points are expected.
 
     Args:
-        text: the text.
         codec: its format, in the units of the manufacturer.
 
     Raises:
@@ -42,11 +41,7 @@ class TypedRobot:
     """A robot whose poses are typed or pasted by a person, one for each view."""
 
     def __init__(self, pose_format: str):
-        """Store the format.
-
-        Raises:
-            ValueError: no such pose format.
-        """
+        """Store the format; raise a ValueError if it is unknown."""
         self.codec: PoseCodec = pose_codec(pose_format)
         self._lock = threading.Lock()
         self._pose: Float[np.ndarray, "4 4"] | None = None

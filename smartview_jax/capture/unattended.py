@@ -53,8 +53,6 @@ def capture_unattended(
     whenever a robot that another program moves stands still at a new place.
 
     Args:
-        session: the session, entered.
-        max_views: largest number of views.
         patience: longest time without a camera, a robot or a view that can be taken, s.
         closing: set by another thread to end.
     """

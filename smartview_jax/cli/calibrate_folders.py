@@ -44,8 +44,6 @@ class FolderResult(NamedTuple):
         held_out_rms: the same on views that the fit did not see; None if it was not computed.
         translation: translation of the hand-eye transform, mm.
         translation_std: length of the vector of its standard deviations, mm; None if it is held.
-        outcome: the outcome in a word or two.
-        converged: whether the fit converged.
         document: everything that `--json` prints about the folder.
     """
 
@@ -63,11 +61,7 @@ class FolderResult(NamedTuple):
 def calibrate_folders(
     folders: Sequence[Path], out: Path, settings: CalibrateSettings, jobs: int | None, json: bool
 ) -> int:
-    """Calibrate folders, write each calibration, print a table, and return the exit code.
-
-    Raises:
-        ValueError: two folders with the same name, or results that cannot be written.
-    """
+    """Calibrate folders, write each calibration, print a table, and return the exit code."""
     names = [folder.stem if folder.is_file() else folder.resolve().name for folder in folders]
     for name, count in Counter(names).items():
         if count > 1:
@@ -100,15 +94,7 @@ def calibrate_folders(
 
 
 def _calibrate_folder(paths: tuple[Path, Path], settings: CalibrateSettings) -> FolderResult:
-    """Calibrate a folder, write its files, and return what the table needs.
-
-    Args:
-        paths: of the folder, or the file of samples, and of the folder for its results.
-        settings: the same for all.
-
-    Raises:
-        ValueError, OSError: as for a single folder.
-    """
+    """Calibrate one data set into its folder of results, and return what the table needs."""
 
     def silent(_: str) -> None:
         """Report nothing: the lines of several folders would be mixed."""
@@ -158,14 +144,7 @@ def _row(
     warnings: int,
     document: dict[str, Any],
 ) -> FolderResult:
-    """Return the row of a fit.
-
-    Args:
-        fit: to pictures or to tracked poses.
-        errors: number of views used, the error in them, its unit, and the error in unseen views.
-        warnings: how many warnings there are.
-        document: of the result.
-    """
+    """Return the row of a fit; errors: views used, fitted error, its unit, held-out error."""
     mount_path = fit.calibration.transform_names[0]
     stds = [fit.std.get(f"{mount_path}.translation.{axis}") for axis in "xyz"]
     known = [std for std in stds if std is not None]
@@ -182,7 +161,6 @@ def _row(
 
 
 def _outcome_words(converged: bool, warnings: int) -> str:
-    """Return the outcome of a calibration in a word or two."""
     if not converged:
         return "not converged"
     return f"{warnings} warning{'s' if warnings > 1 else ''}" if warnings else "good"

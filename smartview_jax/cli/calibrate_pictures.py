@@ -36,14 +36,9 @@ class PictureResult(AbstractResult):
     """A fit and what was computed about it.
 
     Attributes:
-        data: the data set.
-        name: its name.
-        fit: the staged and the joint fit to all views.
         held_out_reports: held-out errors by method; empty where they were not computed.
         split_half: difference between halves of the views; None where it was not computed.
         budget: causes of the error; None where they were not computed.
-        notes: remarks on the data, and on what could not be computed.
-        given: the options that state prior knowledge, in words.
     """
 
     data: "sv.Dataset"
@@ -203,7 +198,6 @@ def _halves(split_half: "sv.evaluation.SplitHalfDifference | None") -> dict[str,
 
 
 def _print_budget(budget: "sv.evaluation.ErrorBudget") -> None:
-    """Print the error budget, and the scale hypotheses if there are any."""
     rows = [row[:2] for row in sv.report.budget_rows(budget)]
     title = "where the error comes from"
     print_table(("cause", "RMS"), rows, title=title, box=box.SIMPLE_HEAD)

@@ -26,16 +26,7 @@ RESULT_FILES = {
 
 @dataclass(frozen=True)
 class PoseResult(AbstractResult):
-    """A fit to tracked poses and what was computed about it.
-
-    Attributes:
-        data: the pairs.
-        name: the data set's name.
-        fit: the joint fit.
-        held_out: errors of held-out pairs; None where they were not computed.
-        notes: remarks on the data, and on what could not be computed.
-        given: the options that state prior knowledge, in words.
-    """
+    """A fit to tracked poses and errors of held-out pairs, None where they were not computed."""
 
     data: "sv.dataset.PoseDataset"
     name: str
@@ -93,11 +84,7 @@ def calibrated_poses(
     settings: CalibrateSettings,
     progress: Callable[[str], None],
 ) -> PoseResult:
-    """Fit tracked poses, and compute their held-out errors if requested.
-
-    Raises:
-        ValueError: an option that only pictures have, and the errors of `fit_poses`.
-    """
+    """Fit tracked poses, and compute their held-out errors if requested."""
     if settings.diagnose or settings.noise != "estimated":
         option = "--diagnose" if settings.diagnose else "--noise"
         raise ValueError(f"{option}: expected a data set with pictures; {name} has tracked poses")

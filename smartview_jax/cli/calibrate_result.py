@@ -12,7 +12,6 @@ from typing import Any
 import smartview_jax as sv
 
 from ..files import file_transaction
-from .terminal import remark_lines
 
 
 def run_name() -> str:
@@ -24,8 +23,6 @@ class AbstractResult(abc.ABC):
     """A fit, and what was computed about it.
 
     Attributes:
-        name: name of the data.
-        fit: the fit.
         notes: remarks on the data, and on what could not be computed.
         given: the options that state prior knowledge, in words.
     """
@@ -48,7 +45,7 @@ class AbstractResult(abc.ABC):
     @property
     def remarks(self) -> tuple[str, ...]:
         """Notes and warnings as lines for people."""
-        return remark_lines(self.notes, self.warnings)
+        return (*self.notes, *(f"warning: {text}" for text in self.warnings))
 
     @property
     def source(self) -> str:

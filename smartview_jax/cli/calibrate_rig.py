@@ -23,11 +23,7 @@ class RigResult(AbstractResult):
     """A rig's fit and what was computed about it.
 
     Attributes:
-        rig: the data sets of the cameras.
-        name: name of the data.
-        fit: the joint fit.
         held_out: errors of held-out states by camera; None where they were not computed.
-        notes: remarks on the data, and on what could not be computed.
         budget: causes of the errors; None where they were not computed.
     """
 
@@ -119,12 +115,7 @@ class RigResult(AbstractResult):
 def loaded_rig(
     folders: Sequence[Path], settings: CalibrateSettings, progress: Callable[[str], None]
 ) -> "tuple[sv.Rig, str]":
-    """Load a folder with several cameras, or a folder for each camera, and return a name too.
-
-    Raises:
-        ValueError: an option that a rig does not have, or data sets that do not belong to one
-            robot.
-    """
+    """Load a folder with several cameras, or a folder for each camera, and return a name too."""
     _refuse_other_options(settings)
     if len(folders) == 1:
         rig = sv.load_rig(folders[0], settings.bad_views, progress)
@@ -202,7 +193,6 @@ def _of_cameras(rig: "sv.Rig", known: dict[str, _Known] | None) -> dict[str, _Kn
 
 
 def _refuse_other_options(settings: CalibrateSettings) -> None:
-    """Raise a ValueError for an option that a rig does not have."""
     known = dataclasses.asdict(settings.known)
     taken = ("camera", "start", "prior")
     given = [f"--{name}" for name, value in known.items() if value and name not in taken]

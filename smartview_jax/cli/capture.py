@@ -153,7 +153,8 @@ def capture(
                     if not outcome.is_reached:
                         raise typer.Exit(1)
                     return
-                _serve(session, page, folder, wanted.views)
+                announce = page.announcement(f"capture into {folder}", "all views are stored")
+                sv.capture.serve_capture(session, page.port, announce, wanted.views)
 
 
 def _say(text: str) -> None:
@@ -168,7 +169,6 @@ def _options(
     sources: Sources,
     auto: bool,
 ) -> "sv.capture.CaptureOptions":
-    """Return the choices of the options."""
     described = data.description
     rough = parse_transforms(wanted.start, described.mount) if wanted.start else {}
     mount_name, holder_name = sv.calibration.transform_names(described.mount)
@@ -217,11 +217,3 @@ def _give(outcome: "sv.capture.CaptureOutcome", goal: float, folder: Path, json:
     print_lines(outcome.reason)
     print_lines(f"{folder}: {outcome.views} views, expected error {error} (standard deviation)")
     typer.echo(f"next: smartview calibrate {folder}")
-
-
-def _serve(
-    session: "sv.capture.CaptureSession", page: PageOptions, folder: Path, views: int
-) -> None:
-    """Serve the page until the process is interrupted."""
-    announce = page.announcement(f"capture into {folder}", "all views are stored")
-    sv.capture.serve_capture(session, page.port, announce, views)

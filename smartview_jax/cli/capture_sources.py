@@ -60,12 +60,7 @@ class SourceOptions:
 
 
 class Sources(NamedTuple):
-    """The camera and the robot of a capture.
-
-    Attributes:
-        camera, robot: where pictures and poses are from.
-        simulated: the simulated cell; None without one.
-    """
+    """The camera and the robot of a capture, and the simulated cell that they belong to, if any."""
 
     camera: "sv.capture.Reopened[sv.capture.Camera]"
     robot: "sv.capture.Reopened[sv.capture.Robot]"
@@ -75,14 +70,7 @@ class Sources(NamedTuple):
 def open_sources(named: SourceOptions, folder: Path) -> Sources:
     """Return the named camera and robot, which are opened when they are needed.
 
-    Args:
-        named: texts that name them; without a pose format the folder's table states it.
-        folder: the data set; the simulated cell begins it if it is new.
-
-    Raises:
-        ImportError: an extra is not installed.
-        ValueError: a text that names no source.
-        OSError: the folder has no description.
+    Without a pose format the folder's table states it; a simulated cell begins a new folder.
     """
     simulated = None
     if SIMULATED in (named.camera, named.robot):

@@ -124,7 +124,6 @@ class Findings(NamedTuple):
         problems: reasons why the data cannot be calibrated.
         doubts: views and figures that do not fit, although most do.
         document: all of it as values for programs.
-        staged: the staged fit; None if there is none.
         cameras: findings in the data of each of several cameras.
     """
 
@@ -328,7 +327,6 @@ def _document(
     problems: Sequence[str],
     doubts: Sequence[str],
 ) -> dict[str, Any]:
-    """Return figures, problems and doubts as values for programs."""
     least, greatest, median = figures.points
     extent, rotation = figures.extent, figures.largest_rotation
     return {
@@ -353,10 +351,7 @@ def _document(
 def _agreement(
     data: "sv.Dataset", reported: Collection[str], camera: "sv.Camera | None"
 ) -> "tuple[Sequence[str], Sequence[str], sv.StagedFit | None]":
-    """Return problems, doubts and the staged fit, by which pictures and poses are compared.
-
-    Views whose mask is reported already are no doubts.
-    """
+    """Return problems, doubts about views not reported yet, and the staged fit they are from."""
     try:
         # As in `calibrate`, so that data are refused for the same reasons.
         if camera is not None:

@@ -14,10 +14,7 @@ from ..files import finite_or_null
 
 
 def print_document(subcommand: str, content: Mapping[str, Any]) -> None:
-    """Print a document with the subcommand's name and the package's version.
-
-    JSON has no NaN and no infinity: these are null.
-    """
+    """Print a subcommand's document with the package's version; NaN and infinity are null."""
     # The name and the version come first, so that a program can tell what it reads.
     document = {"smartview": subcommand, "version": sv.__version__, **content}
     typer.echo(json.dumps(_plain(document), indent=1, allow_nan=False))

@@ -118,9 +118,7 @@ class Prediction:
 
     Attributes:
         summary: name of the calibration, and the errors.
-        path: file of the calibration.
         calibration: the calibration, whose target may have been found again.
-        data: the new pictures.
         expected: errors that the calibration's covariance predicts; None without a covariance.
         fitted_views: names of the views whose pictures the calibration was fitted to.
     """

@@ -145,8 +145,6 @@ class Exported(NamedTuple):
     """A calibration file that is exported.
 
     Attributes:
-        path: of the file.
-        content: of the file.
         parent: name of the mount's frame; None for ROS's usual file.
         child: name of the camera's frame.
     """

@@ -108,16 +108,7 @@ class FitOptions(NamedTuple):
 
 
 def parse_fit_options(lens: str, mount: str, known: FitKnowledge) -> FitOptions:
-    """Read the texts of the options; every error names the option and what it expects.
-
-    Args:
-        lens: name of the lens model, without a known camera.
-        mount: where camera and target are, which names the transforms.
-        known: file of a known camera and texts of the other options.
-
-    Raises:
-        ValueError: an unknown name, a missing unit, or options that contradict each other.
-    """
+    """Read the texts of the options; every error names the option and what it expects."""
     # Before anything is detected or fitted, so that a misspelt name is reported at once.
     camera = None if known.camera is None else sv.io.read_camera(known.camera)
     fixed, free = tuple(known.fixed or ()), tuple(known.free or ())
@@ -221,7 +212,6 @@ def _refuse_contradictions(
     priors: "dict[str, sv.Prior]",
     units: dict[str, str],
 ) -> None:
-    """Raise a ValueError for options that contradict each other."""
     held = {name for path in fixed for name in _names_of("--fixed", path, units)}
     # A known camera is held as a whole.
     if camera_is_known:
@@ -244,11 +234,7 @@ def _refuse_contradictions(
 
 
 def _parse_start(texts: Sequence[str], mount: str) -> "sv.Calibration | dict[str, SE3] | None":
-    """Return the start of the joint fit: a file's calibration with the given transforms, or these.
-
-    Raises:
-        ValueError: two files, or a transform that the mount does not have.
-    """
+    """Return the start of the joint fit: the transforms given, in a file's calibration if any."""
     files = [text for text in texts if "=" not in text]
     if len(files) > 1:
         raise ValueError(f"--start: one calibration file, found {files[1]!r} too")
@@ -267,13 +253,7 @@ def parse_rig_start(
 ) -> "dict[str, sv.Calibration | dict[str, SE3]] | None":
     """Return the starts of a rig's cameras by name; None without any.
 
-    Args:
-        texts: a folder with a calibration for each camera, or CAMERA.NAME=x,y,z,yaw,pitch,roll.
-        mounts: mount of each camera, by its name.
-
-    Raises:
-        ValueError: two folders, a folder without the calibration of a camera, an unknown camera, or
-            a transform that its mount does not have.
+    A text is a folder with a calibration for each camera, or CAMERA.NAME=x,y,z,yaw,pitch,roll.
     """
     folders = [Path(text) for text in texts if "=" not in text]
     if len(folders) > 1:
@@ -302,16 +282,9 @@ def parse_rig_start(
 def parse_rig_aspects(
     texts: Sequence[str], cameras: Collection[str], known: Collection[str] = ()
 ) -> "dict[str, sv.Prior]":
-    """Return the priors on the ratios of a rig's focal lengths by path.
+    """Return the priors on the ratios of focal lengths of a rig's unknown cameras, by path.
 
-    Args:
-        texts: camera.pixel_aspect=1+-0.001 for all cameras, or left.camera.pixel_aspect for one.
-        cameras: names of the cameras.
-        known: names of cameras that are held.
-
-    Raises:
-        ValueError: another parameter, a camera that is unknown or held, or what no text of a prior
-            can mean.
+    A text is camera.pixel_aspect=1+-0.001 for all cameras, or left.camera.pixel_aspect for one.
     """
     if texts and set(cameras) <= set(known):
         raise ValueError(f"--prior {texts[0]}: every camera is held by --camera")
@@ -334,11 +307,7 @@ def _aspects_of(cameras: Sequence[str]) -> list[str]:
 
 
 def parse_transforms(texts: Sequence[str], mount: str) -> "dict[str, SE3]":
-    """Return rough transforms by name from NAME=x,y,z,yaw,pitch,roll (m, degrees).
-
-    Raises:
-        ValueError: a text without a name, or a transform that the mount does not have.
-    """
+    """Return rough transforms by name from NAME=x,y,z,yaw,pitch,roll (m, degrees)."""
     names, transforms = sv.calibration.chain_transform_names(mount), {}
     for text in texts:
         name, _, pose = text.partition("=")

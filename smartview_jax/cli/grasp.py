@@ -51,11 +51,7 @@ class GraspChoice:
     ] = "0,0,0,0,0,0"
 
     def object_from_gripper(self) -> np.ndarray:
-        """Return the pose of the options, or of the named or first grasp of the model.
-
-        Raises:
-            ValueError: neither or both are given, or the model has no such grasp.
-        """
+        """Return the pose of the options, or of the named or first grasp of the model."""
         model, name = self.model, self.name
         if (self.grasp_pose is None) == (model is None):
             raise ValueError("grasp: give either --grasp-pose or --model")
@@ -121,7 +117,6 @@ def grasp(
 
 
 def _pose(option: str, text: str) -> np.ndarray:
-    """Return the 4x4 transform of an option."""
     return sv.geometry.host_matrices(sv.io.parse_rough_pose(option, text))
 
 

@@ -19,16 +19,8 @@ def load_named(
 ) -> "tuple[sv.Dataset, str]":
     """Load a data set (the sample if none is named), and return it with its name.
 
-    Args:
-        dataset: its folder; None for the sample.
-        bad_views: as in `load_dataset`.
-        progress: called with a line of text for each step.
-        base_from_world: rough pose of the target as a person writes it.
-        tracked_poses: whether poses of a tracker may take the place of pictures.
-
-    Raises:
-        ValueError: several cameras, or poses of a tracker where pictures are needed; and the
-            errors of `load_dataset`.
+    The rough pose of the target is as a person writes it. Poses of a tracker take the place of
+    pictures only if allowed.
     """
     rough_pose = None
     if base_from_world is not None:
@@ -50,11 +42,7 @@ def load_named(
 
 
 def load_samples(file: Path, mount: str | None) -> "tuple[sv.Dataset, str]":
-    """Read a file of easy_handeye2's samples, and return them with their name.
-
-    Raises:
-        ValueError: the mount is not stated, which the file does not tell; or a wrong file.
-    """
+    """Read a file of easy_handeye2's samples, and return them with their name."""
     if file.name == sv.io.DESCRIPTION_FILE:
         raise ValueError(f"{file}: describes a data set: give its folder, {file.parent}")
     try:
@@ -77,11 +65,7 @@ def load_samples(file: Path, mount: str | None) -> "tuple[sv.Dataset, str]":
 def with_estimated_clock(
     data: "sv.Dataset", dataset: Path | None, lens: str, progress: Callable[[str], None]
 ) -> "sv.Dataset":
-    """Return the data set with poses interpolated at the pictures' times, for the estimated clock.
-
-    Raises:
-        ValueError: the data set has a pose for each view instead of a robot's log.
-    """
+    """Return the data set with poses interpolated at the pictures' times by the estimated clock."""
     log = None if dataset is None else sv.io.load_pose_log(dataset)
     if log is None:
         raise ValueError(
@@ -99,8 +83,6 @@ class NamedViews(NamedTuple):
     """The views of a folder.
 
     Attributes:
-        names: of the views.
-        pictures: their files.
         command: reported poses; None without a robot.
         cameras: name of the camera of each view; empty for a folder of one camera.
         states: name of the robot's state in each view; empty for a folder of one camera.
@@ -168,14 +150,7 @@ def load_calibrated_views(
 ) -> "tuple[sv.modeling.AnyCalibration, sv.joint.SavedEstimate | None, bool]":
     """Return the calibration of views, its covariance, and whether it is taken as exact.
 
-    Args:
-        path: a calibration file, or the folder or file of a calibrated rig.
-        views: the views.
-        wanted: the camera that took them, and the frame of the results.
-
-    Raises:
-        FileNotFoundError: a file is missing.
-        ValueError: a wrong file, or a calibration that does not belong to the views.
+    The path is of a calibration file, or of the folder or file of a calibrated rig.
     """
     camera, frame = wanted.camera, wanted.frame
     if not sv.joint.is_rig(path):

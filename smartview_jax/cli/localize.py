@@ -44,11 +44,7 @@ class SearchOptions:
     ] = None
 
     def corners(self) -> np.ndarray | None:
-        """Return two opposite corners of the workspace box.
-
-        Raises:
-            ValueError: not six finite numbers.
-        """
+        """Return two opposite corners of the workspace box; raise a ValueError for other texts."""
         if self.workspace is None:
             return None
         corners = parse_numbers("--workspace", self.workspace, 6, "x,y,z,x,y,z (m)")

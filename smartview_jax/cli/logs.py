@@ -23,12 +23,8 @@ _FORMAT = "%(relativeCreated)6.0f ms  %(name)s: %(message)s"
 def configure_logs(verbosity: int) -> Callable[[], None]:
     """Let the library's loggers write to stderr, and quieten other libraries.
 
-    Args:
-        verbosity: 0 for warnings alone, 1 for progress, 2 for everything, with other libraries.
-
-    Returns:
-        A function that restores the levels of all loggers, for a program that goes on after the
-        command.
+    Verbosity is 0 for warnings alone, 1 for progress, 2 for everything, with other libraries. The
+    returned function restores the levels, for a program that goes on after the command.
     """
     logger = logging.getLogger(LOGGER)
     quietened = [logging.getLogger(name) for name in (NOISY_LOGGERS if verbosity < 2 else ())]

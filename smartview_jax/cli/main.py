@@ -69,11 +69,7 @@ class _Subcommands(Mapping[str, Any]):
 
 
 def _imported_subcommand(name: str) -> Any:
-    """Return a subcommand with its options, from its file.
-
-    Raises:
-        KeyError: no subcommand has the name.
-    """
+    """Return a subcommand with its options, from its file."""
     module = import_module(f".{SUBCOMMANDS[name]}", __package__)
     function = getattr(module, f"{name}_" if iskeyword(name) else name)
     # The whole first sentence, because a summary of click's own length is cut.

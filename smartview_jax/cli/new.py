@@ -113,11 +113,6 @@ def _print_pictures(folder: Path, content: "sv.io.FoundPictures") -> None:
 
 
 def _camera_names(text: str) -> list[str]:
-    """Return the names of cameras between commas.
-
-    Raises:
-        ValueError: an empty or repeated name.
-    """
     names = [name.strip() for name in text.split(",")]
     if "" in names or len(set(names)) < len(names):
         raise ValueError(
@@ -128,11 +123,6 @@ def _camera_names(text: str) -> list[str]:
 
 
 def _arm_names(text: str, cameras: list[str]) -> dict[str, str]:
-    """Return the name of each camera's arm.
-
-    Raises:
-        ValueError: another number of arms than of cameras, an empty name, or a camera's name.
-    """
     names = [name.strip() for name in text.split(",")]
     parts = [arm for name in names for arm in sv.dataset.arms_of(name)]
     if len(names) != len(cameras) or "" in parts or set(parts) & set(cameras):

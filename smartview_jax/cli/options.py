@@ -153,12 +153,7 @@ class PageOptions:
     ] = True
 
     def announcement(self, page: str, kept: str) -> Callable[[str], None]:
-        """Return a function that prints a page's address, and opens it if requested.
-
-        Args:
-            page: what the page is, for the message.
-            kept: what a stop of the program does not lose.
-        """
+        """Return a function that prints where a page is and what a stop keeps, and opens it."""
 
         def announce(address: str) -> None:
             typer.echo(f"{page} is at\n{address}\nCtrl-C stops it; {kept}")
@@ -211,18 +206,9 @@ def _is_group(annotation: Any) -> bool:
 
 
 def parse_numbers(option: str, text: str, count: int, form: str) -> tuple[float, ...]:
-    """Return the finite numbers of an option.
+    """Return the finite numbers of an option, with the form of the text for errors: `x,y,z (m)`.
 
     Parentheses and spaces are accepted, so that a vector can be pasted as it is printed.
-
-    Args:
-        option: name of the option, for the error message.
-        text: the text given, such as `0.1,0,0.2`.
-        count: how many numbers there have to be.
-        form: their names and unit, such as `x,y,z (m)`, for the error message.
-
-    Raises:
-        ValueError: another count, or a word that is not a finite number.
     """
     words = text.strip().removeprefix("(").removesuffix(")").split(",")
     try:

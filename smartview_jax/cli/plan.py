@@ -167,12 +167,7 @@ def plan(
 
 
 def _refuse_other_paths(paths: list[Path], first: bool) -> None:
-    """Raise an error for other arguments than a calibration and its data set, or a folder alone.
-
-    Args:
-        paths: arguments of the subcommand.
-        first: whether the first views are planned, for which there is no calibration yet.
-    """
+    """Raise an error unless a calibration and its data set are given, or at first a folder."""
     given = ", ".join(map(str, paths))
     for path in paths:
         if not path.exists():
@@ -216,9 +211,6 @@ def next_views(
     Args:
         paths: the calibration, and the folder of its data set.
         camera: a known camera, which is refused.
-        limits: limits of the views.
-        robot: the robot's arm and readings.
-        progress: called with a line of text for each stage.
     """
     if camera is not None:
         raise ValueError("--camera: only with --start; the calibration contains its camera")

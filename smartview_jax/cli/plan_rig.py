@@ -12,16 +12,7 @@ from .terminal import print_lines, progress_line
 
 
 def is_rig_plan(paths: Sequence[Path], first: bool) -> bool:
-    """Return whether the next states of a robot with several cameras are to be planned.
-
-    Args:
-        paths: arguments of the subcommand.
-        first: whether the first views are to be planned.
-
-    Raises:
-        ValueError: a folder with several cameras, but not what `calibrate` wrote for it, or for the
-            first views.
-    """
+    """Return whether the next states of a robot with several cameras are to be planned."""
     if not (paths[-1].is_dir() and sv.io.is_rig_folder(paths[-1])):
         return False
     if first:
@@ -48,12 +39,7 @@ def plan_rig(
 ) -> None:
     """Print commands of the states to take next, best first, and the error they lead to.
 
-    Args:
-        paths: the folder of the calibrations, or the file of one arm's, and the data-set folder.
-        limits: limits of the views of each camera.
-        stop: when the plan stops.
-        robot: the robot's arm and readings.
-        json: print a document instead of a table.
+    The paths are the folder of the calibrations, or one arm's file, and the data-set folder.
     """
     folder = paths[0] if paths[0].is_dir() else paths[0].parent
     with progress_line() as progress:
@@ -90,11 +76,6 @@ def plan_rig(
 
 
 def _arm_of(rig: "sv.Rig", estimate: "sv.joint.RigEstimate", paths: Sequence[Path]) -> str:
-    """Return the arm of the calibrated cameras.
-
-    Raises:
-        ValueError: they are not the cameras of one arm of the data.
-    """
     for arm in rig.arm_names:
         if set(rig.of_arm(arm).cameras) == set(estimate.calibrations):
             return arm

@@ -17,7 +17,6 @@ def plan_words(
     """Return sentences about the gain of the planned views and why the plan stops.
 
     Args:
-        plan: the plan.
         least_gain: smallest relative decrease of the error for which a view is added.
         goal_mm: error at which the plan stops, mm; None for none.
         first: whether there are no views yet.
@@ -50,12 +49,7 @@ def plan_entries(plan: "sv.viewpoints.ViewPlan") -> dict[str, Any]:
 
 
 def give_no_commands(entries: dict[str, Any], json: bool) -> None:
-    """Print that there is no view to take, and why; no file for the robot is written.
-
-    Args:
-        entries: of the plan, with its sentences as `words`.
-        json: print a document instead of the sentences.
-    """
+    """Print that there is no view to take, and the words that say why; no commands are written."""
     if json:
         print_document("plan", {"commands": [], **entries, "file": None})
     else:

@@ -36,12 +36,7 @@ class RobotOptions:
         return sv.geometry.pose_codec(self.pose_format)
 
     def refuse_unusable(self) -> None:
-        """Refuse a wrong option before anything is computed.
-
-        Raises:
-            ValueError: no pose format has such a name.
-            OSError: the file of `--out` could not be written.
-        """
+        """Refuse a wrong option before anything is computed."""
         if self.out is not None:
             refuse_unwritable(self.out.parent, "--out")
         _ = self.codec
@@ -64,9 +59,6 @@ class CommandSheet(NamedTuple):
 
     Attributes:
         robot: the robot's format, its file, and the checks that a person overrides.
-        calibration: with it the commands were computed.
-        names: one name for each command.
-        commands: poses, joint readings and checks.
         arm: the arm of the joint readings; None where none is known.
         refused_for: names of the checks that every command must pass.
     """
@@ -79,17 +71,7 @@ class CommandSheet(NamedTuple):
     refused_for: tuple[str, ...]
 
     def give(self, subcommand: str, json: bool, say: Callable[[], None], **content: Any) -> None:
-        """Print the commands and write them for the robot; refuse unsafe ones.
-
-        Args:
-            subcommand: name of the subcommand.
-            json: print a document instead of a table.
-            say: prints further text after the table.
-            content: further entries of the document.
-
-        Raises:
-            ValueError: a command is unsafe; the table was printed, no file was written.
-        """
+        """Print the commands, then what `say` prints, and write them; refuse unsafe ones."""
         if not json:
             self.print()
             say()

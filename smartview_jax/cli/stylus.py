@@ -189,11 +189,7 @@ def _write_corrected(
     judged: dict[str, Any],
     options: MissOptions,
 ) -> dict[str, Any]:
-    """Write the calibration corrected by the misses; return its file and the miss it expects.
-
-    Raises:
-        ValueError: the misses are larger than the calibration predicts.
-    """
+    """Write the calibration corrected by the misses; return its file and the miss it expects."""
     assert options.corrected is not None
     if judged["likely_causes"] is not None:
         raise ValueError(

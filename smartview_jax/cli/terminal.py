@@ -52,25 +52,13 @@ def print_steps(steps: Iterable[str]) -> None:
         (typer.echo if is_command else print_lines)(f"  {number}. {step}")
 
 
-def remark_lines(notes: Iterable[str], warnings: Iterable[str]) -> tuple[str, ...]:
-    """Return the notes and warnings on a result as lines for people."""
-    return (*notes, *(f"warning: {text}" for text in warnings))
-
-
 def print_table(
     headings: Iterable[str],
     rows: Iterable[Iterable[str]],
     justify: Literal["left", "right"] = "left",
     **style: Any,
 ) -> None:
-    """Print a table.
-
-    Args:
-        headings: of the columns.
-        rows: texts of each row.
-        justify: where texts stand in their columns; in the first column they stand left.
-        style: arguments of rich's `Table`.
-    """
+    """Print a table in a style of rich's `Table`; texts of the first column stand left."""
     table = Table(**style)
     for number, heading in enumerate(headings):
         table.add_column(heading, justify=justify if number else "left")

@@ -124,7 +124,6 @@ class Dataset(HostModule):
                 the picture), `"raise"` an error or `"mask"` the view and keep the reason.
             masked_views: views already known to be unusable, with the reason.
             pictures: one picture file per view.
-            target: the description of the target.
             joints: `(M, joints)` readings, rad, or m for a prismatic joint.
             arm: the arm whose joints these are, with its controller's nominal parameters. Poses
                 that are given as well must agree with it.
@@ -275,11 +274,7 @@ class Dataset(HostModule):
         return as_se3(this_arm @ np.linalg.inv(relative) @ np.linalg.inv(other))
 
     def with_bases(self, base_from_other_base: SE3) -> "Dataset":
-        """Return the data set of two arms with their bases at given places; of one arm as it is.
-
-        Args:
-            base_from_other_base: base of the arm with the target in the base of the camera's arm.
-        """
+        """Return the data of two arms with their bases so placed; of one arm as they are."""
         if self.hands is None:
             return self
         poses = self.hands.host_other_tool_from_tool(base_from_other_base)
@@ -438,18 +433,7 @@ def of_views(arrays: Any, index: np.ndarray) -> Any:
 def _mask_reasons(
     given: dict[str, str], wrong_values: dict[str, str], ids: Sequence[str], mask: bool
 ) -> dict[str, str]:
-    """Return why views are masked, by their names.
-
-    Args:
-        given: reasons of the caller, which take precedence.
-        wrong_values: what is wrong with views.
-        ids: names of all views.
-        mask: whether views with wrong values are masked.
-
-    Raises:
-        ValueError: a reason for a view that does not exist; or, unless masked, views with wrong
-            values, which are all named.
-    """
+    """Return why views are masked, by their names; the caller's reasons take precedence."""
     unknown = set(given) - set(ids)
     if unknown:
         raise ValueError(f"masked_views: no view is called {sorted(unknown)}")

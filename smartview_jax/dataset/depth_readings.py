@@ -211,11 +211,9 @@ def _affine_fit(
 
 
 def _robust_std(off: Float[np.ndarray, "seen"], rank: int) -> float:
-    """Return the standard deviation that the smaller half of absolute differences tells.
+    """Return the standard deviation that the smaller half of a fit's absolute residuals tells.
 
-    Args:
-        off: absolute differences from a fit.
-        rank: number of parameters of the fit; as many of the differences may be zero.
+    As many residuals as the fit has parameters (the rank) may be zero.
     """
     half = np.sort(off)[min((len(off) + rank) // 2, len(off) - 1)]
     return MAD_TO_SIGMA * float(half)

@@ -16,11 +16,7 @@ FORWARD_KINEMATICS_TOLERANCE = (1e-3, np.deg2rad(0.1))
 
 
 def points_per_view(points: np.ndarray, view_count: int, point_count: int) -> np.ndarray:
-    """Return points as `(views, points, 3)`, or as `(1, points, 3)` if common to all views.
-
-    Raises:
-        ValueError: the shape does not match the pixels.
-    """
+    """Return points as `(views, points, 3)`, or as `(1, points, 3)` if common to all views."""
     if points.shape == (point_count, 3):
         return points[None]
     if points.shape != (view_count, point_count, 3):
@@ -34,11 +30,7 @@ def points_per_view(points: np.ndarray, view_count: int, point_count: int) -> np
 def forward_kinematics(
     joints: np.ndarray | Array | None, arm: SerialArm | None, ids: tuple[str, ...]
 ) -> SE3:
-    """Compute `base_from_tool` of every view by the arm's forward kinematics.
-
-    Raises:
-        ValueError: joints or arm are missing, or the shape is wrong.
-    """
+    """Compute `base_from_tool` of every view by the arm's forward kinematics."""
     if joints is None or arm is None:
         raise ValueError(
             "expected poses, or joint readings and their arm; found "
@@ -134,10 +126,6 @@ def pixel_problems(
     """Return the views with a pixel outside the picture, with the reason.
 
     Detected corners may lie up to one pixel beyond the edge.
-
-    Raises:
-        ValueError: several views have such a pixel, and none of them would with the picture's width
-            and height exchanged.
     """
     width, height = image_size
     if width <= 0 or height <= 0:

@@ -45,11 +45,7 @@ class Observations(HostModule):
         return Command(self.base_from_tool, self.joints, self.hands)
 
     def of_shape(self, shape: TargetShape | None) -> "Observations":
-        """Return the observations of a target whose points are displaced by a shape.
-
-        Args:
-            shape: shape of the target; None for no displacement.
-        """
+        """Return the observations of a target whose points are displaced by its shape, if any."""
         if shape is None:
             return self
         return with_fields(self, points=shape.displaced(self.points))

@@ -33,7 +33,6 @@ def digests_to_keep(data: "Dataset") -> tuple[str, ...]:
 
 
 def _digest(pixels: np.ndarray) -> str:
-    """Return the digest of pixel coordinates."""
     # Sorted by u, because the order of the points depends on the target's description.
     steps = np.round(pixels / ROUNDING).astype("<i8")
     steps = steps[np.lexsort(steps.T[::-1])]

@@ -95,7 +95,6 @@ class Rig:
         """Combine data sets.
 
         Args:
-            cameras: data set of each camera, by a name.
             targets: name of the target that each camera sees, by the camera's name. By default all
                 cameras with the same mount see the same target; if they are next to several
                 arms, one on the hand of each. A target is on the table for cameras on the hand, and
@@ -305,12 +304,7 @@ def _checked_targets(
     targets: Mapping[str, str] | None,
     arms: Mapping[str, str],
 ) -> dict[str, str]:
-    """Return the name of each camera's target.
-
-    Raises:
-        ValueError: a camera without a target or the reverse, a target at two places, or arms
-            without a target in common.
-    """
+    """Return the name of each camera's target."""
     if targets is None:
         targets = _default_targets(cameras, arms)
     require_each_camera("targets", cameras, targets)
@@ -386,11 +380,7 @@ def _default_targets(cameras: Mapping[str, Dataset], arms: Mapping[str, str]) ->
 
 
 def _common_arm(cameras: Mapping[str, Dataset]) -> SerialArm | None:
-    """Return the arm of all data sets; None if one of them has none.
-
-    Raises:
-        ValueError: the arms differ.
-    """
+    """Return the arm of all data sets; None if one of them has none."""
     arms = [data.arm for data in cameras.values()]
     known = [arm for arm in arms if arm is not None]
     if len(known) < len(arms):

@@ -54,12 +54,7 @@ def with_equal_bases(cameras: Mapping[str, Dataset], arms: Mapping[str, str]) ->
 def checked_arms(
     cameras: Mapping[str, Dataset], arms: Mapping[str, str | tuple[str, str]] | None
 ) -> dict[str, str]:
-    """Return the name of each camera's arm, or of its pair of arms.
-
-    Raises:
-        ValueError: a camera without an arm or the reverse, an unusable name, or two names where one
-            arm is expected or the reverse.
-    """
+    """Return the name of each camera's arm, or of its pair of arms."""
     if arms is None:
         pairs = [name for name, data in cameras.items() if data.hands is not None]
         if pairs:

@@ -36,16 +36,11 @@ around a point are equal.
 def detect_chessboard(
     image: np.ndarray, target: Chessboard, limits: DetectionLimits | None = None
 ) -> Detection:
-    """Detect the inner corners of a completely visible board, in the target's order.
+    """Detect the inner corners of a completely visible board in a grey picture, in target order.
 
     The sector-based detector is accurate, but may be wrong by many pixels if the white margin is
     narrow, and may find nothing where the classic detector does. So each detection is tested, and
     the classic detector is tried if the first detection fails or is noisy.
-
-    Args:
-        image: grey, uint8.
-        target: the board.
-        limits: limits of the test of the detected corners; by default `DetectionLimits()`.
     """
     limits = limits or DetectionLimits()
     size = (image.shape[1], image.shape[0])

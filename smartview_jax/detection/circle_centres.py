@@ -80,7 +80,6 @@ def predicted_bias(
 
     Args:
         calibration: gives the poses, the camera and the scale of the target.
-        observations: all views.
         radii: radius of each circle, in the unit of the target's points, m.
 
     Returns:
@@ -103,11 +102,7 @@ def predicted_bias(
 
 
 def circle_radii(target: AbstractTarget | None) -> Float[np.ndarray, "points"]:
-    """Return the radius of every circle of a target, m.
-
-    Raises:
-        ValueError: the target does not consist of circles, or does not state their radius.
-    """
+    """Return the radius of every circle of a target, m; raise a ValueError if it states none."""
     if isinstance(target, StackedTarget):
         return np.tile(circle_radii(target.board), len(target.heights))
     if not isinstance(target, CircleGrid):

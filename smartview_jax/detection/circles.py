@@ -43,13 +43,9 @@ _MAX_RATIO_BEYOND = 1.6
 
 
 def detect_circles(image: np.ndarray, target: CircleGrid) -> Detection:
-    """Detect the circle centres of a grid, in the target's order.
+    """Detect the circle centres of a grid in a grey picture, in the target's order.
 
-    A symmetric grid may be visible only in part.
-
-    Args:
-        image: grey, uint8.
-        target: the grid; with `origin_mark` the larger corner circle comes first.
+    A symmetric grid may be visible only in part. An origin mark, a larger circle, comes first.
     """
     # No single pair of limits suits all pictures, so pairs are tried until a whole grid is found.
     # If none is found, part of a grid is searched for, with the pair that gave the most blobs.
@@ -99,11 +95,6 @@ def candidate_blobs(
     Blobs that reach the border of the picture are excluded: they are parts of circles, and their
     centres are wrong. If too many remain, the largest group of similar size is returned; if even
     this group has more than `MAX_BLOBS_PER_CIRCLE` blobs per circle, none is returned.
-
-    Args:
-        blobs: all blobs.
-        count: number of circles in the grid.
-        shape: shape of the picture, height and width first, px.
     """
     height, width = shape[:2]
 

@@ -58,9 +58,6 @@ def choose_common_symmetry(
         rough_rotation: approximate rotation of `holder_from_world`. If None, the symmetry is chosen
             for which the target's x axis is nearest to the holder's; its z axis is the same for
             all.
-
-    Raises:
-        ValueError: the rough pose and the target have different z axes.
     """
     count = len(symmetries)
     alike = f"the target's pattern looks the same in {count} orders of its points"
@@ -99,9 +96,7 @@ def choose_common_symmetry(
 def _holder_rotation(camera_rotations: np.ndarray, mount_rotations: np.ndarray) -> Rotation | None:
     """Estimate the rotation of `holder_from_world` for the first symmetry.
 
-    Returns:
-        None if all rotations between views are about one axis, or if fewer than two of them have a
-        usable angle.
+    It is None if the rotations share an axis, or if fewer than two have a usable angle.
     """
     # A_ij = R_j R_i^T of the camera and B_ij of the mount satisfy A_ij = X B_ij X^T with the
     # hand-eye rotation X (camera_from_mount). So their rotation vectors satisfy

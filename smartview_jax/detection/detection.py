@@ -27,33 +27,18 @@ class Detection(NamedTuple):
 
 
 def full_detection(pixels: np.ndarray) -> Detection:
-    """Return a detection of all points of the target.
-
-    Args:
-        pixels: one row for each point, px.
-    """
+    """Return a detection of all points of the target, px, one row for each."""
     pixels = np.asarray(pixels, dtype=float).reshape(-1, 2)
     return Detection(pixels, np.ones(len(pixels), dtype=bool), None)
 
 
 def partial_detection(count: int, index: np.ndarray, pixels: np.ndarray) -> Detection:
-    """Return a detection of some of the target's points.
-
-    Args:
-        count: number of points of the target.
-        index: indices of the detected points.
-        pixels: one row for each detected point, px.
-    """
+    """Return a detection of the target's points of some indices, px, one row for each."""
     all_pixels = np.full((count, 2), np.nan)
     all_pixels[index] = np.asarray(pixels, dtype=float).reshape(-1, 2)
     return Detection(all_pixels, np.asarray(np.isfinite(all_pixels).all(axis=1)), None)
 
 
 def empty_detection(count: int, reason: str) -> Detection:
-    """Return an empty detection.
-
-    Args:
-        count: number of points of the target.
-        reason: the reason why nothing was found.
-    """
+    """Return an empty detection."""
     return Detection(np.full((count, 2), np.nan), np.zeros(count, dtype=bool), reason)

@@ -36,13 +36,7 @@ def match_partial_grid(
 ) -> tuple[Int[np.ndarray, "found"], Int[np.ndarray, "found"]] | str:
     """Return which blob is which circle of a symmetric grid, or the reason why this is unknown.
 
-    Args:
-        centres: centres of all blobs, px.
-        diameters: diameters of all blobs, px.
-        target: the grid.
-
-    Returns:
-        Indices of the target's circles and, for each, the index of its blob; or a reason in words.
+    The blobs' centres and diameters are px; the result is indices of circles, then of their blobs.
     """
     total = target.rows * target.columns
     lattices: list[Lattice] = _grow_lattices(centres)

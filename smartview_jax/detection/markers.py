@@ -31,11 +31,7 @@ _CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.1)
 
 
 def dictionary_by_name(name: str) -> cv2.aruco.Dictionary:
-    """Return one of OpenCV's marker dictionaries.
-
-    Args:
-        name: OpenCV's name for it, which targets have already checked.
-    """
+    """Return one of OpenCV's marker dictionaries by its name there."""
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 
@@ -52,12 +48,7 @@ def charuco_board(target: Charuco) -> cv2.aruco.CharucoBoard:
 
 
 def detect_charuco(image: np.ndarray, target: Charuco) -> Detection:
-    """Detect the inner corners of a ChArUco board that are between recognised markers.
-
-    Args:
-        image: grey, uint8.
-        target: the board.
-    """
+    """Detect the inner corners of a ChArUco board that are between recognised markers."""
     count = (target.squares_x - 1) * (target.squares_y - 1)
     detector = cv2.aruco.CharucoDetector(charuco_board(target))
     corners, ids, _, marker_ids = detector.detectBoard(image)
@@ -89,10 +80,6 @@ def detect_tags(image: np.ndarray, target: TagGrid | AprilGrid) -> Detection:
 
     A corner whose refinement fails is not visible. Tags whose border differs from the target's are
     not accepted, because their corners would be wrong by one cell of the code.
-
-    Args:
-        image: grey, uint8.
-        target: the grid.
     """
     count = 4 * len(target.ids)
     tags = find_tags(image, target, target.border_bits)

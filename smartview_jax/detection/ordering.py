@@ -105,11 +105,7 @@ def _candidate_rotations(
     symmetries: np.ndarray,
     image_size: tuple[int, int],
 ) -> np.ndarray:
-    """Estimate the rotation of camera_from_world for each view and symmetry.
-
-    Returns:
-        Rotations `(views, symmetries, 3, 3)`, computed with one approximate camera for all views.
-    """
+    """Estimate camera_from_world's rotation for each view and symmetry, with one rough camera."""
     # IPPE is OpenCV's solution of the pose of a plane that needs no initial pose.
     matrix = _approximate_camera_matrix(pixels, visible, points, image_size)
     rotations = np.empty((len(pixels), len(symmetries), 3, 3))

@@ -76,7 +76,6 @@ def read_picture(
     more than 8 bits are stretched by `STRETCH_PERCENTILES`.
 
     Args:
-        path: the file.
         image_size: expected width and height, px; None accepts any size.
 
     Raises:
@@ -114,7 +113,6 @@ def decode_picture(path: Path, data: bytes, image_size: tuple[int, int] | None =
 
     Args:
         path: path of the file, for error messages.
-        data: content of the file.
         image_size: expected width and height, px; None accepts any size.
 
     Raises:

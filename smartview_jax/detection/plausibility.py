@@ -151,14 +151,7 @@ def checked_detection(
     image_size: tuple[int, int],
     limits: DetectionLimits | None = None,
 ) -> Detection:
-    """Return a detection without the points that fail, or an empty one with the reason.
-
-    Args:
-        detection: the detection of all the target's points.
-        points: points of the target, m.
-        image_size: width and height, px.
-        limits: by default `DetectionLimits()`.
-    """
+    """Return a detection without the points that fail, or an empty one with the reason."""
     visible = detection.visible
     if not visible.any():
         return detection
@@ -188,7 +181,6 @@ def checked_pixels(
     Args:
         points: points of the target, one set for all views `(points, 3)` or one for each, m.
         pixels: detected points, px; NaN where a point was not detected.
-        view_ids: ids of the views.
         image_size: width and height, px.
         limits: by default `DetectionLimits()`.
 

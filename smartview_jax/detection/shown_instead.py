@@ -57,7 +57,6 @@ def shown_instead(pictures: Sequence[Grey], target: AbstractTarget) -> str:
 
     Args:
         pictures: some in which the target was not found; each is searched many times.
-        target: the stated board.
 
     Returns:
         The clause, such as "the board has the legacy pattern: state legacy: true"; empty if

@@ -314,11 +314,7 @@ def drawn_plane(session: ModelSession, face: int) -> FacePlane:
 
 
 def face_under(session: ModelSession, view: str, pixel: Any) -> tuple[int, Float[np.ndarray, "3"]]:
-    """Return the nearest face under a pixel that faces the camera, and the point on it, m.
-
-    Raises:
-        ValueError: there is no such face, or the pixel is outside the picture.
-    """
+    """Return the nearest face under a pixel that faces the camera, and the point on it, m."""
     origin, direction = session.geometry.ray(view, session.checked_pixel(view, pixel))
     estimates, hits = session.estimates(), []
     for number, face in session.document.faces.items():

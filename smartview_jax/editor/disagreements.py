@@ -54,7 +54,6 @@ class Findings(NamedTuple):
     """The estimates of a document, with and without its constraints.
 
     Attributes:
-        document: the document.
         estimates: estimates of its points under all facts, by id.
         alone: estimates of its points by their clicks alone, by id.
         verdicts: verdicts on its constraints, by id.

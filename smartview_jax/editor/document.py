@@ -88,10 +88,7 @@ class Document:
 
     Attributes:
         points: the clicks of every point.
-        edges: pairs of points.
-        faces, grasps, constraints: see their classes.
         next_id: the id of the part that is added next.
-        name: of the object.
         symmetry_confirmed: whether the user confirmed the symmetry found; None if undecided.
         symmetry_order: order of the symmetry that was confirmed or refused; None is any.
     """
@@ -141,11 +138,7 @@ class Document:
 
 
 def part_id(given: Any) -> int:
-    """Return the id of a part, a whole number.
-
-    Raises:
-        ValueError: a text, `True` or 0.7, which `int` would accept.
-    """
+    """Return the id of a part, a whole number."""
     # The journal holds plain numbers, scripts may give NumPy's.
     if isinstance(given, bool):
         raise ValueError(f"a part is named by a whole number; found {given!r}")
@@ -165,15 +158,7 @@ def _check_quantities(name: str, *values: Any) -> None:
 
 
 def apply_change(document: Document, change: Mapping[str, Any]) -> Document:
-    """Return the document after a change.
-
-    Args:
-        document: the document before the change.
-        change: `{"do": name, ...}` with the arguments of the named change.
-
-    Raises:
-        ValueError: an unknown change, a missing or unknown argument, or a part that does not exist.
-    """
+    """Return the document after a change, `{"do": name, ...}` with the arguments of this change."""
     content = dict(change)
     name = content.pop("do", None)
     function = CHANGES.get(str(name))
@@ -202,7 +187,6 @@ def _pixel(pixel: Any) -> tuple[float, float]:
 
 
 def _add_point(document: Document, clicks: Mapping[str, Any]) -> Document:
-    """Add a point with its clicks in one or more views."""
     return document._added("points", {view: _pixel(pixel) for view, pixel in clicks.items()})
 
 
@@ -244,7 +228,6 @@ def _delete(document: Document, kind: str, id: int) -> Document:
 
 
 def _add_edge(document: Document, ends: Any) -> Document:
-    """Add an edge between two points."""
     a, b = document.existing_points(ends)
     if a == b:
         raise ValueError(f"an edge joins two different points, found point {a} twice")
@@ -291,13 +274,11 @@ def _checked_face(document: Document, face: DrawnFace) -> DrawnFace:
 
 
 def _add_grasp(document: Document, face: int, **values: Any) -> Document:
-    """Add a grasp on a face."""
     document.existing("faces", face)
     return document._added("grasps", _checked_grasp(PlacedGrasp(face), values))
 
 
 def _change_grasp(document: Document, id: int, **values: Any) -> Document:
-    """Move, turn, open or rename a grasp."""
     changed = _checked_grasp(document.existing("grasps", id), values)
     document.existing("faces", changed.face)
     return document._changed("grasps", id, changed)
@@ -337,7 +318,6 @@ def _add_constraint(
 
 
 def _rename(document: Document, name: str) -> Document:
-    """Give the object a name."""
     require_readable_or_empty("object", name)
     return dataclasses.replace(document, name=name)
 

@@ -21,12 +21,7 @@ PictureSizes: TypeAlias = Mapping[str, tuple[int, int]]
 
 
 class AbstractDrawing(abc.ABC):
-    """A document that is edited step by step; every change is checked before it is kept.
-
-    Attributes:
-        names: names of the views, in their order.
-        geometry: geometry of points and curves in the views.
-    """
+    """A document that is edited step by step; every change is checked before it is kept."""
 
     names: list[str]
     geometry: ViewGeometry
@@ -80,13 +75,7 @@ class AbstractDrawing(abc.ABC):
     def click(
         self, view: str, pixel: Sequence[float] | np.ndarray, point: int | None = None
     ) -> int:
-        """Click a feature in a view, and return the id of its point.
-
-        Args:
-            view: name of the view.
-            pixel: u and v, px.
-            point: the existing point to which this click belongs; None for a new point.
-        """
+        """Click a feature at u, v (px) as an existing or new point (None); return its id."""
         u, v = self.checked_pixel(view, pixel)
         if point is None:
             return self._add({"do": "add_point", "clicks": {view: [u, v]}})
@@ -98,11 +87,7 @@ class AbstractDrawing(abc.ABC):
         return self._add({"do": "add_edge", "ends": [a, b]})
 
     def add_face(self, loop: Sequence[int], name: str = "", graspable: bool | None = None) -> int:
-        """Add a face around points, and return its id; its normal points to the cameras.
-
-        Raises:
-            ValueError: a point has no position, or the face is not planar or intersects itself.
-        """
+        """Add a face around points, and return its id; its normal points to the cameras."""
         # The oriented loop is journalled, so that replaying needs no geometry.
         outward = checked_loop(loop, self.document, self.estimates(), self.geometry)
         return self._add(
@@ -145,9 +130,6 @@ class AbstractDrawing(abc.ABC):
             items: the ids of the points, in one group; or the two ends of each edge.
             value: the known length, m.
             sigma: standard deviation of the fact, m or rad; None if it is exact.
-
-        Raises:
-            ValueError: an unknown kind, a wrong number of points or edges, or a missing length.
         """
         groups = [list(group) for group in items]
         return self._add(
@@ -208,12 +190,7 @@ def _check_names(before: Document, after: Document) -> None:
 
 
 def check_clicks(change: Mapping[str, Any], sizes: PictureSizes) -> None:
-    """Raise an error for a change with a click in an unknown view or outside its picture.
-
-    Args:
-        change: as `document.apply_change` describes it.
-        sizes: width and height of each view's picture, px, by the view's name.
-    """
+    """Raise an error for a change with a click in an unknown view, or outside its picture (px)."""
     # All parts of a change are checked before any of them is made.
     clicks = dict(change.get("clicks") or {})
     if change.get("do") == "click":

@@ -27,7 +27,6 @@ class EditHistory:
     """A document with its history of changes, undone ones included.
 
     Attributes:
-        document: the document as it is now.
         path: path of the journal; None for a history in memory only.
         notes: remarks from the opening of the journal.
     """

@@ -141,13 +141,7 @@ def face_entry(face: DrawnFace, estimates: Mapping[int, PointEstimate]) -> dict[
 
 
 def grasp_entry(grasp: Grasp, face: int, session: ModelSession) -> dict[str, Any]:
-    """Return a grasp with the gripper's lines in space and in every view.
-
-    Args:
-        grasp: the grasp, as placed on the model.
-        face: id of its face.
-        session: the session of the model.
-    """
+    """Return a grasp with the gripper's lines in space and in every view."""
     # A gripper as in the paper's Fig. 3: two fingers, the bar between them, and the approach. The
     # fingers reach `depth` below the face; the bar is above it.
     half, back = 0.5 * grasp.opening, grasp.depth + 0.6 * grasp.opening

@@ -20,7 +20,6 @@ class Journal:
     """An append-only file of changes.
 
     Attributes:
-        path: path of the file.
         entries: the changes in the journal when it was opened.
         cut_off: number of bytes of an incomplete last line that were removed.
     """
@@ -29,7 +28,6 @@ class Journal:
         """Open a journal, or begin one.
 
         Args:
-            path: of the file.
             header: the views that the changes refer to; an existing journal must have the same.
 
         Raises:
@@ -78,9 +76,6 @@ class Journal:
 
     def _whole_lines(self, first: bytes) -> list[dict[str, Any]]:
         """Return the entries of all whole lines, after cutting off a torn last one.
-
-        Args:
-            first: the line with which a journal begins.
 
         Raises:
             ValueError: a line is no change and was not torn; the file stays as it is.
@@ -138,7 +133,6 @@ class Journal:
 
 
 def _line(entry: Mapping[str, Any]) -> bytes:
-    """Return the line of an entry."""
     return json.dumps(entry, allow_nan=False).encode() + b"\n"
 
 

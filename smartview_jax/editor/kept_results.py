@@ -51,11 +51,7 @@ class PictureFeatures:
         self._finding = {name: threading.Lock() for name in pictures}
 
     def of(self, view: str) -> Features:
-        """Return the corners and segments found in a view's picture, which clicks snap to.
-
-        Raises:
-            ValueError: the picture is blank, over-exposed or under-exposed; the view is named.
-        """
+        """Return the corners and segments found in a view's picture, which clicks snap to."""
         # A page may ask for them while a thread of the server prepares them.
         with self._finding[view], errors_at(f"view {view}"):
             if view not in self._found:

@@ -49,7 +49,6 @@ def _pair(group: tuple[int, ...]) -> tuple[int, int]:
 
 
 def _length(groups: Groups, value: float | None, sigma: float | None) -> AbstractConstraint:
-    """Return the constraint of a known length."""
     if value is None:
         raise ValueError("known length: the length is missing")
     return KnownLength(_pair(groups[0]), value, sigma=sigma)
@@ -93,15 +92,7 @@ FACT_KINDS: Mapping[str, FactKind] = {
 
 
 def constraint_of(fact: DrawnConstraint, number: Mapping[int, int]) -> AbstractConstraint:
-    """Return the constraint of a fact.
-
-    Args:
-        fact: the fact, as stated.
-        number: number of the vertex by the id of the point.
-
-    Raises:
-        ValueError: an unknown kind, or a wrong number of points or edges.
-    """
+    """Return the constraint of a fact, given the number of each point's vertex by id."""
     kind = FACT_KINDS.get(fact.kind)
     if kind is None:
         raise ValueError(f"expected one of the facts {', '.join(FACT_KINDS)}; found {fact.kind!r}")

@@ -24,7 +24,6 @@ class PageAccess:
         Args:
             token: the token that the first request must have.
             port: port of the server, part of the accepted origins.
-            name: of the kind of page, for its cookie.
         """
         self._token = token
         self._origins = {f"http://{host}:{port}" for host in (HOST, "localhost")}

@@ -36,14 +36,8 @@ def build_model(
 ) -> ObjectModel:
     """Return the model of all points that have a position, with its edges, faces and grasps.
 
-    Parts in `problems_of` are left out; the symmetry is not computed.
-
-    Args:
-        document: the document.
-        estimates: estimates of all points.
-        names: names of the views, for the provenance.
-        picture_covariance: joint covariance of the coordinates of all `placed_points`, m^2; None
-            if the points are independent.
+    Parts in `problems_of` are left out; the symmetry is not computed. The covariance (m^2) is of
+    the coordinates of all `placed_points`; without it the points are independent.
     """
     wrong = problems_of(document, estimates)
     placed = placed_points(document, estimates)
@@ -89,11 +83,7 @@ def build_model(
 
 
 def placed_grasp(model: ObjectModel, face: int, grasp: PlacedGrasp) -> Grasp:
-    """Return the grasp that is placed on a face of a model.
-
-    Raises:
-        ValueError: it is not on the face, or the fingers do not open wide enough.
-    """
+    """Return the grasp that is placed on a face of a model."""
     plane = face_plane(model.vertices, model.faces[face])
     x, y = plane.axes[:2]
     return grasp_on_face(
@@ -185,12 +175,7 @@ def _grasp_problem(document: Document, estimates: Estimates, grasp: PlacedGrasp)
 def checked_loop(
     loop: Sequence[int], document: Document, estimates: Estimates, geometry: ViewGeometry
 ) -> tuple[int, ...]:
-    """Return a face's loop, oriented so that its normal points to the cameras that saw it.
-
-    Raises:
-        ValueError: a point does not exist or has no position, or the face is not planar or
-            intersects itself.
-    """
+    """Return a face's loop, oriented so that its normal points to the cameras that saw it."""
     points = document.existing_points(loop)
     if len(points) < 3:
         raise ValueError(f"a face needs 3 or more points, found {list(points)}")

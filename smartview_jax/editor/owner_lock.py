@@ -69,7 +69,6 @@ class OwnerLock:
 
 
 def _this_process() -> dict[str, Any]:
-    """Return the identity of this process."""
     return {"pid": os.getpid(), "host": socket.gethostname(), "started": _start_of(os.getpid())}
 
 

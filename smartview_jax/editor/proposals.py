@@ -55,11 +55,7 @@ class Proposals:
                 self._made[k] = known
 
     def accepted(self, numbers: Sequence[int], document: Document) -> dict[str, Any]:
-        """Return the change that adds points, and the edges that are then between existing points.
-
-        Raises:
-            ValueError: a number is not offered.
-        """
+        """Return the change that adds points, and the edges between points that then exist."""
         changes: list[dict[str, Any]] = []
         # Ids are given in order, so the ids of the new points are known in advance.
         made, next_id = dict(self._made), document.next_id
@@ -82,12 +78,7 @@ class Proposals:
         return {"do": "several", "changes": changes}
 
     def decide(self, numbers: Sequence[int], document_before: Document | None) -> None:
-        """Remove points from the offer, after they were accepted or rejected.
-
-        Args:
-            numbers: numbers of the points.
-            document_before: the document before they were accepted; None if they were rejected.
-        """
+        """Remove accepted points from the offer, given the document before it, or rejected ones."""
         for k, number in enumerate(numbers):
             self.points.pop(number, None)
             if document_before is not None:

@@ -42,16 +42,7 @@ _LOGGER = logging.getLogger(__name__)
 
 
 def editor_app(session: ModelSession, token: str, port: int) -> Any:
-    """Return the ASGI application that shows a session.
-
-    Args:
-        session: the session to edit.
-        token: the token that the first request must have.
-        port: port of the server, part of the accepted origin.
-
-    Raises:
-        ImportError: starlette is not installed.
-    """
+    """Return the ASGI application that shows a session; the first request must have the token."""
     import_extra("starlette", "editor", "the editor's page")
     from starlette.applications import Starlette
     from starlette.routing import Mount, Route, WebSocketRoute
@@ -216,7 +207,6 @@ def serve(
     """Serve a session until the process is interrupted.
 
     Args:
-        session: the session to edit.
         port: port to listen on; 0 takes a free one.
         announce: called with the page's address, including the token, when the server listens.
 

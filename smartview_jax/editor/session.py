@@ -352,11 +352,7 @@ class ModelSession(AbstractDrawing):
         self.close()
 
     def prepare(self, stop: threading.Event | None = None) -> None:
-        """Compile the programs of the first clicks, and find the features of all pictures.
-
-        Args:
-            stop: set by another thread to skip the remaining pictures.
-        """
+        """Compile the programs of the first clicks, and find all features, until `stop` is set."""
         # Any pixel will do: only the first call of each program is slow.
         sizes = self.picture_sizes
         middles = {name: (0.5 * width, 0.5 * height) for name, (width, height) in sizes.items()}

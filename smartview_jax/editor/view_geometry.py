@@ -123,8 +123,6 @@ class ViewGeometry:
     """The views of a session with their cameras' poses.
 
     Attributes:
-        names: names of the views.
-        command: reported poses.
         camera_from_world: extrinsics of all views.
         centres: camera centres in the world, m.
         depth_range: nearest and farthest depth of curves by view, m.
@@ -246,9 +244,6 @@ class ViewGeometry:
         """Return the estimates of points under constraints, their refinement, and the verdicts.
 
         The constraints are judged by clicks that are as accurate as stated.
-
-        Raises:
-            ValueError: an invalid constraint.
         """
         pixels, alone = self._clicked_pixels(points), self.estimates(points)
         widening = np.array([estimate.widening for estimate in alone])

@@ -52,9 +52,6 @@ def describe(
     """Return the appearance of a picture's corners.
 
     Args:
-        picture: the picture in which the features were found.
-        camera: the camera that took it.
-        features: of this picture.
         reference: direction in the camera's frame, of any length, for the patches' first axis; the
             same direction of the world for all views that are compared, roughly perpendicular to
             the line of sight.

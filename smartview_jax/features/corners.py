@@ -159,10 +159,7 @@ def _common_points(
 ]:
     """Return the points nearest to several lines each, their covariances, and which are certain.
 
-    Args:
-        lines: all segments.
-        corner, segment: index of each corner, and of a line that runs through it.
-        starts: where the corners are, roughly.
+    A corner and a segment are the indices of a point and of a line through it.
     """
     variances, normals = lines.variances_at(segment, starts[corner]), lines.normals[segment]
     distances = (normals * lines.centres[segment]).sum(axis=1)

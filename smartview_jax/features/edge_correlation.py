@@ -52,7 +52,6 @@ def correlated_length(
 
     Args:
         segments: straight segments of the picture, px.
-        points: its edge points.
         lone: which of them no other edge displaces.
     """
     lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)

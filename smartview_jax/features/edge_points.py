@@ -144,7 +144,6 @@ def edge_map(picture: np.ndarray, camera: Camera) -> Bool[np.ndarray, "rows colu
 
     Args:
         picture: uint8, grey `(rows, columns)` or BGR `(rows, columns, 3)`.
-        camera: the camera that took it.
 
     Raises:
         ValueError: as `find` does.

@@ -61,7 +61,6 @@ def find_ellipses(
     Args:
         points: edge points in the ideal plane (`IdealPlane`), px; NaN outside the lens's field.
         normals: directions of their gradients.
-        options: which ellipses are looked for.
     """
     usable = np.isfinite(points).all(axis=1)
     points, normals = points[usable], normals[usable]

@@ -80,7 +80,6 @@ def find(picture: np.ndarray, camera: Camera) -> Features:
 
     Args:
         picture: uint8, grey `(rows, columns)` or BGR `(rows, columns, 3)`.
-        camera: intrinsics and lens of the camera that took it.
 
     Raises:
         ValueError: the array is not a picture of the camera's size, or the picture is blank,
@@ -97,17 +96,12 @@ def features_from_edge_points(
     edge_points: EdgePoints,
     camera: Camera,
 ) -> Features:
-    """Return the segments and corners of a picture whose edge points are already known.
-
-    Args:
-        grey: grey levels of the picture.
-        gradient, edge_points: of this picture.
-        camera: intrinsics and lens of the camera that took it.
-    """
+    """Return the segments and corners of a picture whose edge points are already known."""
     plane = IdealPlane(camera)
     lines = find_lines(grey, edge_points, plane)
     junctions = line_corners(lines)
-    corners, covariances = _corner_pixels(junctions, plane)
+    corners, derivatives = plane.to_pixels(junctions.points)
+    covariances = derivatives @ junctions.covariances @ derivatives.transpose(0, 2, 1)
     # Two lines may meet beyond the picture's border.
     inside = in_picture(corners, camera.image_size)
     junctions = LineCorners(*(part[inside] for part in junctions))
@@ -149,13 +143,6 @@ def _free_ends(
     joined = np.full((len(segment), columns), -1)
     joined[:, 0] = segment
     return ends[segment, side], covariances[segment, side], joined
-
-
-def _corner_pixels(junctions: LineCorners, plane: IdealPlane) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixels and covariances of the corners of segments."""
-    pixels, derivatives = plane.to_pixels(junctions.points)
-    covariances = derivatives @ junctions.covariances @ derivatives.transpose(0, 2, 1)
-    return pixels, covariances
 
 
 def _end_pixels(

@@ -22,11 +22,7 @@ POINTS_PER_BATCH = 4_096
 
 
 class IdealPlane:
-    """The undistorted image plane of one camera.
-
-    Attributes:
-        focal_length: scale of the ideal coordinates, px.
-    """
+    """The undistorted image plane of one camera, with its focal length as scale, px."""
 
     def __init__(self, camera: Camera):
         # No ray depends on the picture's size: pictures of all sizes share their programs.

@@ -75,12 +75,7 @@ class CentredLines(NamedTuple):
 
 
 class LineFits(NamedTuple):
-    """Lines, and the points that each of them runs through.
-
-    Attributes:
-        lines: where each line is.
-        members: points of the lines; none for rejected lines.
-    """
+    """Lines, and the points that each of them runs through; none for rejected lines."""
 
     lines: CentredLines
     members: Members

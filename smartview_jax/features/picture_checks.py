@@ -14,16 +14,7 @@ MAX_WHITE_FRACTION, MAX_BLACK_FRACTION = 0.6, 0.98
 
 
 def grey_levels(picture: np.ndarray, camera: Camera) -> Float[np.ndarray, "rows columns"]:
-    """Return a picture's grey levels, 0 to 255.
-
-    Args:
-        picture: uint8, grey `(rows, columns)` or BGR `(rows, columns, 3)`.
-        camera: the camera that took it.
-
-    Raises:
-        ValueError: the array is empty, of another type or of another size than the camera's
-            pictures; or the picture is blank, over-exposed or under-exposed.
-    """
+    """Return the grey levels, 0 to 255, of a picture: uint8, grey, or BGR with a third axis."""
     if not isinstance(picture, np.ndarray) or picture.size == 0:
         raise ValueError("picture: expected an array of grey levels, found nothing")
     if (

@@ -126,7 +126,6 @@ def picture_evidence(
 
     Args:
         picture: uint8, grey `(rows, columns)` or BGR `(rows, columns, 3)`.
-        camera: intrinsics and lens of the camera that took it.
         scale: size of the picture to be searched over the given one; by default from the width of
             its edges.
 
@@ -159,13 +158,7 @@ def _evidence(
 def evidence_of_points(
     evidence: PictureEvidence, free: Bool[np.ndarray, "points"], camera: Camera
 ) -> PictureEvidence:
-    """Return the evidence of a picture without the segments along edge points that are taken.
-
-    Args:
-        evidence: of the picture; its edge points stay.
-        free: which edge points are not taken.
-        camera: intrinsics and lens of the camera of the searched picture.
-    """
+    """Return the evidence of a picture without segments along edge points that are not free."""
     segments, pixels = evidence.features.segments, evidence.edge_points.pixels
     if free.all() or not len(segments):
         return evidence

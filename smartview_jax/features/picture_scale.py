@@ -97,13 +97,9 @@ def edge_width(gradient: Gradient) -> float:
 
 
 def scale_for(width: float, image_size: tuple[int, int]) -> float:
-    """Return the scale at which a picture is searched.
+    """Return the scale to search a picture at, from the width of its edges (px; NaN if unknown).
 
     It is between `HALF` and `MAX_SCALE`, and no enlarged picture exceeds `MAX_ENLARGED`.
-
-    Args:
-        width: of the picture's edges, px; NaN where it is unknown.
-        image_size: width and height of the picture, px.
     """
     # NaN leaves the picture as it is.
     if np.isnan(width):
@@ -152,13 +148,7 @@ def resized(
 def gradient_at(
     scale: float, original: Gradient, searched: Float[np.ndarray, "height width"]
 ) -> Gradient:
-    """Return the gradient of a picture that was brought to a scale.
-
-    Args:
-        scale: of the searched picture over the original one.
-        original: gradient of the original picture.
-        searched: the picture at that scale.
-    """
+    """Return the gradient of a picture that was brought to a scale times its original size."""
     gradient = Gradient.of(searched)
     if scale <= 1.0:
         return gradient

@@ -148,14 +148,7 @@ def _likeliest_type(
 ) -> tuple[RobotPrior, CommonErrorsOfType | None, str, Float[np.ndarray, "robots"]]:
     """Estimate sizes and common errors of a type in each model, and which robots belong, in turn.
 
-    Args:
-        evidence: what each robot's views say.
-        models: names of the models.
-        any_robot: logarithm of each robot's evidence under the prior for any robot.
-        general: this prior.
-
-    Returns:
-        The prior and the common errors of the best model, its name, and the weight of each robot.
+    Return prior and common errors of the best model, its name, and the weight of each robot.
     """
     members = np.ones(len(evidence))
     priors, best = dict.fromkeys(models, general), models[0]
@@ -301,13 +294,7 @@ def _common_errors(
 ) -> CommonErrorsOfType | None:
     """Return the errors that robots have in common; None if these are not of one nominal arm.
 
-    Args:
-        evidence: what each robot's views say.
-        model: name of the model of the errors.
-        sizes: each robot's sizes of errors in this model.
-        members: weight of each robot.
-        general: prior for any robot.
-        limits_sizes: whether deviations of single robots count at most as any robot's median.
+    With limited sizes, deviations of single robots count at most as any robot's median.
     """
     fields = [robot.arm_errors for robot in evidence]
     arms = {None if field is None else arm_parameters(field.arm) for field in fields}
@@ -329,14 +316,9 @@ def _common_errors(
 def _shares(
     logs: Float[np.ndarray, "kinds robots"], weights: Float[np.ndarray, "robots"] | None = None
 ) -> tuple[Float[np.ndarray, "kinds"], Float[np.ndarray, "kinds robots"]]:
-    """Estimate the shares of kinds of robots from the evidence of each robot for each kind.
+    """Estimate the shares of kinds of robots, and the probability of each kind for each robot.
 
-    Args:
-        logs: logarithms of the evidence.
-        weights: weight of each robot; by default one.
-
-    Returns:
-        The shares, and the probability of each kind for each robot.
+    The logarithms are of each robot's evidence for each kind; without weights all count alike.
     """
     weights = np.ones(logs.shape[1]) if weights is None else weights
     shares = np.full(len(logs), 1.0 / len(logs))
@@ -406,13 +388,7 @@ def _common_sizes(
     general_mean: Float[np.ndarray, "sizes"],
     general_std: Float[np.ndarray, "sizes"],
 ) -> tuple[Float[np.ndarray, "sizes"], Float[np.ndarray, "sizes"]]:
-    """Return mean and standard deviation of the logarithms of the sizes of the next robot.
-
-    Args:
-        sizes: each robot's likelihood.
-        members: weight of each robot.
-        general_mean, general_std: of the sizes of a robot of any type.
-    """
+    """Return mean and standard deviation of the logarithms of the sizes of the next robot."""
     information = np.stack([robot.information for robot in sizes])
     vector = np.stack([robot.vector for robot in sizes])
     count = len(general_mean)

@@ -77,7 +77,6 @@ class _Job(NamedTuple):
 
     Attributes:
         number: position of the input, from zero.
-        item: the input.
         is_suspect: whether a worker died while the job was running; it is then repeated alone.
         lonely_deaths: how often a worker died while no other job ran.
     """
@@ -101,7 +100,6 @@ def outcomes(
     Args:
         function: function of one input. For processes, functions, inputs and results have to be
             picklable.
-        inputs: inputs of the function.
         executor: any executor of `concurrent.futures`, which stays open; a number of processes of
             this machine; or None for as many processes as there are processors. If a given executor
             breaks, the work goes on in processes of this machine.
@@ -203,12 +201,7 @@ def _error_of(future: Future[Any]) -> Exception | None:
 
 
 def _outcome_of(number: int, future: Future[Any]) -> Outcome:
-    """Return the result of a job that has ended, or its error, also where the result is unreadable.
-
-    Args:
-        number: position of the job's input.
-        future: the job.
-    """
+    """Return the result of a job that has ended, or its error, such as an unreadable result."""
     error = _error_of(future)
     if error is not None:
         return Outcome(number, None, error)
@@ -220,10 +213,9 @@ def _outcome_of(number: int, future: Future[Any]) -> Outcome:
 
 
 class _Workers:
-    """The executor that runs the jobs, and its replacement after a worker was killed.
+    """The executor that runs the jobs, replaced after a worker was killed.
 
-    Attributes:
-        has_finished_a_job: whether any job has finished, so that its programs are compiled.
+    Once a job has finished, its programs are compiled.
     """
 
     def __init__(self, executor: Executor | int | None, optimise: bool = False):
@@ -293,15 +285,7 @@ def _processor_count() -> int:
 
 
 def _process_pool(count: int, optimise: bool) -> ProcessPoolExecutor:
-    """Return a pool of new processes that can run jobs.
-
-    Args:
-        count: number of processes.
-        optimise: whether they optimise the programs of small data sets.
-
-    Raises:
-        RuntimeError: the processes do not start.
-    """
+    """Return a pool of new processes that run jobs, and optimise small programs on request."""
     settings = {name: jax.config.values[name] for name in _SHARED_SETTINGS}
     # A forked process would have locks of JAX's threads, but not the threads that release them.
     context = multiprocessing.get_context("spawn")

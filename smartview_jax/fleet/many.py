@@ -115,7 +115,6 @@ def _calibrations(
 
 
 def _name_of(index: int, dataset: Dataset | str | os.PathLike[str]) -> str:
-    """Return the name of a data set."""
     return f"data set {index}" if isinstance(dataset, Dataset) else Path(dataset).resolve().name
 
 

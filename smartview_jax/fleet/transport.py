@@ -15,11 +15,7 @@ from ..runtime.modules import module_of
 
 
 def to_bytes(value: Any) -> bytes:
-    """Return an object as bytes for `from_bytes`.
-
-    Raises:
-        Exception: `pickle` cannot write it; errors of several types are possible.
-    """
+    """Return an object as bytes for `from_bytes`; errors of `pickle` are of several types."""
     stream = io.BytesIO()
     _Pickler(stream, pickle.HIGHEST_PROTOCOL).dump(value)
     return stream.getvalue()

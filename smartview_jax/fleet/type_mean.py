@@ -64,14 +64,7 @@ class TypeMean(NamedTuple):
         medians: Float[np.ndarray, "coefficients"],
         group_index: Int[np.ndarray, "coefficients"],
     ) -> "TypeMean":
-        """Estimate the mean from robots' likelihoods, weighted by membership.
-
-        Args:
-            robots: each robot's likelihood.
-            members: weight of each robot.
-            medians: median size of each coefficient for any robot.
-            group_index: group of each coefficient.
-        """
+        """Estimate the mean from robots' likelihoods, in units of any robot's medians."""
         # With A a robot's information matrix, b its vector and V its variances, integration over c
         # leaves the information K = (1 + A V)^-1 A and the vector (1 + A V)^-1 b for m.
         by_units = np.outer(medians, medians)
@@ -122,14 +115,7 @@ class CommonErrorsOfType(NamedTuple):
         members: Float[np.ndarray, "robots"],
         general: RobotPrior,
     ) -> "CommonErrorsOfType":
-        """Estimate them from robots' likelihoods, weighted by membership.
-
-        Args:
-            field: the field whose coefficients they are.
-            robots: each robot's likelihood.
-            members: weight of each robot.
-            general: prior for any robot.
-        """
+        """Estimate them from robots' likelihoods, weighted by membership."""
         counts = [size for _, size in field.groups]
         medians = np.repeat(general.medians(field)[2:], counts)
         group_index = np.repeat(np.arange(len(counts)), counts)

@@ -128,11 +128,7 @@ def camera_errors(
 
 
 def _camera_of_rig(calibration: Calibration, estimate: "RigFit | RigEstimate") -> str:
-    """Return the name of the rig's camera that has a calibration.
-
-    Raises:
-        ValueError: no camera of the rig has it.
-    """
+    """Return the name of the rig's camera that has a calibration."""
     for name, known in estimate.calibrations.items():
         if known is calibration:
             return name

@@ -37,7 +37,6 @@ class Candidate(NamedTuple):
     """A grasp of the model, repeated by the model's and the gripper's symmetry.
 
     Attributes:
-        grasp: the model's grasp.
         object_from_gripper: pose of the gripper's frame in the object's, m.
         opening: distance between the fingers while they approach, m.
         width: width of the object between the fingers, m.
@@ -134,9 +133,6 @@ def candidate_grasps(model: ObjectModel, gripper: Gripper) -> list[Candidate]:
     """Return all candidates of a model: its grasps, repeated by symmetry and by half a turn.
 
     A model without grasps gets `suggested_grasps`.
-
-    Raises:
-        ValueError: the model has neither grasps nor faces.
     """
     # Grasps that a person placed are preferred to suggested ones.
     grasps = model.grasps or suggested_grasps(model, gripper)

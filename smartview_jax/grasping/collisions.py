@@ -34,13 +34,7 @@ It touches whatever it stands on and leans against, and its pose is not exact.
 
 
 class Contact(NamedTuple):
-    """The smallest distance of a moving part from an obstacle.
-
-    Attributes:
-        part: name of the moving part.
-        obstacle: name of the obstacle.
-        clearance: the distance between them, m; zero where they touch.
-    """
+    """The smallest distance (clearance, m) of a moving part from an obstacle; zero at contact."""
 
     part: str
     obstacle: str
@@ -57,11 +51,7 @@ class CollisionChecker:
     """Obstacles prepared for distance queries."""
 
     def __init__(self, obstacles: Sequence[Obstacle]):
-        """Prepare the obstacles.
-
-        Raises:
-            ImportError: python-fcl is not installed.
-        """
+        """Prepare the obstacles; raise an ImportError without python-fcl."""
         self._fcl = import_extra("fcl", "cell", "checking collisions")
         self._names = [obstacle.name for obstacle in obstacles]
         # Bounding boxes rule out most pairs before fcl is called.
@@ -124,7 +114,6 @@ class CollisionChecker:
     def _convex(
         self, vertices: Float[np.ndarray, "vertices 3"], triangles: Int[np.ndarray, "triangles 3"]
     ) -> Any:
-        """Return a convex solid."""
         # fcl takes faces as one list, each after its number of vertices.
         faces = np.column_stack([np.full(len(triangles), 3), triangles]).ravel()
         solid = self._fcl.Convex(np.ascontiguousarray(vertices), len(triangles), faces)
@@ -137,14 +126,7 @@ def swept_gripper(
     world_from_gripper: Float[np.ndarray, "4 4"],
     translation: Float[np.ndarray, "3"],
 ) -> dict[str, Float[np.ndarray, "16 3"]]:
-    """Return the corners of the volume that a gripper sweeps on a straight line from a pose.
-
-    Args:
-        gripper: the gripper.
-        opening: distance between the fingers, m.
-        world_from_gripper: pose at one end of the line.
-        translation: from this pose to the other end, in the world's frame, m.
-    """
+    """Return the corners of the volume that a gripper sweeps on a straight line from a pose, m."""
     swept = {}
     for box in gripper.boxes(opening):
         corners = host_transformed(world_from_gripper, box.vertices)
@@ -171,13 +153,9 @@ def closing_fingers(
 def swept_object(
     vertices: Float[np.ndarray, "vertices 3"], translation: Float[np.ndarray, "3"]
 ) -> dict[str, Float[np.ndarray, "corners 3"]]:
-    """Return the corners of the volume that a held object sweeps on a straight line.
+    """Return the corners of the volume that a held object sweeps on a straight line, m.
 
     It is the sweep of the object's convex hull, shrunk by `RESTING_OVERLAP` on all sides.
-
-    Args:
-        vertices: of the object where it lies, in the world, m.
-        translation: of the object, m.
     """
     corners = _shrunk_hull(vertices, translation)
     return {"held object": np.concatenate([corners, corners + translation])}
@@ -210,11 +188,9 @@ def _shrunk_hull(
 def swept_links(
     origins: Float[np.ndarray, "steps frames 3"], radius: float
 ) -> Iterator[dict[str, Float[np.ndarray, "corners 3"]]]:
-    """Yield the corners of the volumes that an arm's links sweep from each step to the next.
+    """Yield the corners of the volumes that an arm's links sweep from each step to the next, m.
 
-    Args:
-        origins: of the frames along the arm at each step, in the world, m.
-        radius: of the cylinders about the links, m.
+    A link is a cylinder between two origins of frames along the arm, in the world.
     """
     for before, after in pairwise(arm_links(frames, radius) for frames in origins):
         # A sliding joint may start at zero length, where its link has no direction.
@@ -226,12 +202,7 @@ def swept_links(
 def arm_links(
     origins: Float[np.ndarray, "frames 3"], radius: float
 ) -> dict[str, Float[np.ndarray, "corners 3"]]:
-    """Return the corners of cylinders about the links of an arm, from frame to frame.
-
-    Args:
-        origins: of the frames along the arm, in the world, m.
-        radius: of the cylinders, m.
-    """
+    """Return the corners of cylinders about the links of an arm, from frame to frame, m."""
     links = {}
     for k, (start, end) in enumerate(pairwise(origins)):
         axis = end - start

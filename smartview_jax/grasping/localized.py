@@ -14,7 +14,6 @@ class LocalizedObject(Protocol):
     """An object whose pose is known; a `Localization` is one.
 
     Attributes:
-        model: of the object.
         world_from_object: its pose, 4x4, m.
         covariance: covariance of the pose's tangent, translation first, m^2 and rad^2: `true =
             world_from_object @ exp(xi)`.
@@ -44,7 +43,6 @@ class PlacedObject(NamedTuple):
     """An object whose pose is known from another source, such as a fixture or a drawing.
 
     Attributes:
-        model: of the object.
         world_from_object: its pose, m.
         covariance: covariance of the pose's tangent, translation first; zero if it is exact.
         calibration_jacobian: as in `LocalizedObject`; None if the pose does not depend on the
@@ -62,12 +60,7 @@ class PlacedObject(NamedTuple):
 def checked_object(
     localized: LocalizedObject,
 ) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "6 6"]]:
-    """Return pose and covariance of an object.
-
-    Raises:
-        ValueError: the pose is in the base frame or not rigid, or the covariance is not finite,
-            symmetric and positive semidefinite; the message names the object.
-    """
+    """Return pose and covariance of an object."""
     name = localized.model.name or "without a name"
     if getattr(localized, "frame", "world") != "world":
         raise ValueError(

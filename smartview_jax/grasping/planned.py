@@ -133,11 +133,7 @@ class GraspPlan:
 
     @property
     def best(self) -> PlannedGrasp:
-        """The safe grasp that is most likely to succeed.
-
-        Raises:
-            NoSafeGraspError: there is none.
-        """
+        """The safe grasp that is most likely to succeed; a NoSafeGraspError if there is none."""
         if not self.safe:
             raise NoSafeGraspError(self.summary)
         return self.safe[0]

@@ -45,11 +45,7 @@ class Motion:
     min_probability: float = 0.5
 
     def __post_init__(self) -> None:
-        """Check the distances.
-
-        Raises:
-            ValueError: a distance that is not positive, or a retreat below the lift.
-        """
+        """Raise a ValueError for a distance that is not positive, or a retreat below the lift."""
         if not (0.0 < self.approach < 2.0 and 0.0 < self.lift <= self.retreat < 2.0):
             raise ValueError(f"expected approach > 0 and 0 < lift <= retreat in m; found {self}")
         if not 0.0 <= self.min_probability <= 1.0:
@@ -77,7 +73,6 @@ def grasps_for(
 
     Args:
         localization: the object, with its pose and covariance.
-        gripper: the gripper.
         scene: the robot and the obstacles, without the object itself.
         motion: lengths of approach, lift and retreat.
 

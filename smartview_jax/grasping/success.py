@@ -47,13 +47,7 @@ class Conditions(NamedTuple):
 def grasp_conditions(
     candidate: Candidate, gripper: Gripper, clearance: float = np.inf
 ) -> Conditions:
-    """Return the conditions under which a grasp succeeds.
-
-    Args:
-        candidate: the grasp.
-        gripper: the gripper.
-        clearance: distance from the open gripper to the nearest obstacle, m.
-    """
+    """Return the conditions of a successful grasp, at a clearance (m) from obstacles."""
     # Each condition is a row of the matrix; |x| <= b makes two.
     rows: list[tuple[np.ndarray, float, str]] = []
 

@@ -144,7 +144,6 @@ def gripper_commands(
 
     Args:
         scene: with the calibration, and the arm if it is known.
-        gripper: the gripper whose frame is brought to the poses.
         world_from_gripper: wanted poses, m.
         near: joint readings near which to solve; by default the scene's.
     """

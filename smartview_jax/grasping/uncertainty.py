@@ -44,11 +44,7 @@ class GripperErrors(NamedTuple):
 def gripper_errors(
     scene: GraspScene, gripper: Gripper, command: Command
 ) -> tuple[GripperErrors, ...]:
-    """Return the uncertainty of the gripper's pose at commands `(n)`.
-
-    Raises:
-        ValueError: the scene's estimate is of another calibration, or leaves numbers undetermined.
-    """
+    """Return the uncertainty of the gripper's pose at commands `(n)`."""
     count = len(command.base_from_tool.wxyz_xyz)
     if scene.estimate is None:
         nothing = GripperErrors(np.zeros((6, 0)), np.zeros((6, 0)), np.zeros((0, 0)), ())
@@ -72,13 +68,7 @@ def gripper_errors(
 def error_covariance(
     localized: LocalizedObject, gripper_from_object: Float[np.ndarray, "4 4"], errors: GripperErrors
 ) -> Float[np.ndarray, "12 12"]:
-    """Return the joint covariance of eta and tau, in this order, for one grasp.
-
-    Args:
-        localized: the object.
-        gripper_from_object: its pose in the gripper's frame.
-        errors: of the gripper's pose.
-    """
+    """Return the joint covariance of eta and tau, in this order, for one grasp."""
     _, covariance = checked_object(localized)
     to_gripper = host_adjoints(gripper_from_object)
     jacobian = localized.calibration_jacobian

@@ -22,11 +22,7 @@ Where the target is nearer, farther or more inclined in some views, a lens blurs
 
 
 def blur_notes(detections: Mapping[str, Detection]) -> tuple[str, ...]:
-    """Return sentences about blurred pictures, by how wide the target's edges are in each view.
-
-    Args:
-        detections: of the views by their names; those without a width are left out.
-    """
+    """Return sentences about blurred pictures, by how wide the target's edges are in each view."""
     widths = {view: d.edge_width for view, d in detections.items() if d.edge_width is not None}
     # Pictures in which the target was not found may show anything.
     found = [view for view in widths if detections[view].visible.any()]

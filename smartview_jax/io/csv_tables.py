@@ -26,7 +26,6 @@ class Table:
     """The rows of a CSV file as mappings from its header, and what was recognised in its text.
 
     Attributes:
-        path: of the file.
         rows: fields by the name of their column.
         notes: sentences for the user; none for a table as this package writes it.
         comments: comment lines of the file.
@@ -40,14 +39,7 @@ class Table:
     written_header: tuple[str, ...]
 
     def view_ids(self, content: str = "") -> list[str]:
-        """Return the names of the views, one for each row.
-
-        Args:
-            content: what the rows have, for the error that there are none; empty accepts no rows.
-
-        Raises:
-            ValueError: a view has more than one row, or there are no rows.
-        """
+        """Return the views' names, one for each row; an error names content of no rows."""
         views = [row[VIEW_COLUMN] for row in self.rows]
         if repeated := duplicates(views):
             raise ValueError(f"{self.path}: view {', '.join(repeated)} has more than one row")
@@ -56,13 +48,7 @@ class Table:
         return views
 
     def requiring(self, required: Sequence[str], units: Collection[str] = ("s",)) -> "Table":
-        """Return the table with further required columns under their names, as `read_table` does.
-
-        For columns that are known to be required only after the table was read.
-
-        Raises:
-            ValueError: a required column is missing.
-        """
+        """Return the table with more required columns than were known when it was read."""
         header, missing = _named(self.written_header, required, units)
         if missing:
             raise ValueError(
@@ -87,15 +73,8 @@ def read_table(path: Path, required: Sequence[str], units: Collection[str] = ("s
     or by a unit among `units`, is this column.
 
     Args:
-        path: of the file.
         required: names of columns that the table must have.
         units: units that a required column may have in its name, such as `time_s` for `time`.
-
-    Raises:
-        FileNotFoundError: the file is missing.
-        ValueError: it is not a CSV text, a required column is missing, a column occurs twice, a
-            row has more or fewer fields than the header, a view's name is invalid, or numbers are
-            ambiguous.
     """
     text = read_table_text(path, lambda header: _named(header, required, units)[1] == [])
     rows = [dict(zip(text.header, fields, strict=True)) for fields in text.rows]
@@ -175,18 +154,7 @@ def parse_numbers(
     view: str,
     require_finite: bool = True,
 ) -> np.ndarray:
-    """Return some columns of a row as numbers.
-
-    Args:
-        path: of the table, for error messages.
-        row: one row of the table, by column name.
-        columns: names of the columns to return.
-        view: id of the row's view, for error messages.
-        require_finite: whether to refuse NaN and infinity; False if the caller can mask the view.
-
-    Raises:
-        ValueError: a field is not a number; the message names the file, the view and the column.
-    """
+    """Return some columns of a row as numbers, finite ones unless the caller can mask the view."""
     values = np.empty(len(columns))
     for k, column in enumerate(columns):
         if not is_number(row[column]):
@@ -200,13 +168,7 @@ def parse_numbers(
 
 
 def refuse_out_of_range(path: str | Path, positions: np.ndarray, labels: Sequence[str]) -> None:
-    """Raise a ValueError that names the first position beyond the reach of any robot.
-
-    Args:
-        path: of the file that the positions are from, for the error message.
-        positions: `(views, 3)`, m; each coordinate is limited by `MAX_COORDINATE`, and NaN passes.
-        labels: one view id for each position.
-    """
+    """Raise a ValueError for the first position (m) beyond `MAX_COORDINATE`; NaN passes."""
     for label, position in zip(labels, positions, strict=True):
         for axis, value in zip("xyz", position, strict=True):
             if abs(value) > MAX_COORDINATE:
@@ -222,17 +184,7 @@ def write_table(
     rows: Sequence[Sequence[object]],
     comments: Sequence[str] = (),
 ) -> None:
-    """Write a CSV file, completely or not at all; floats keep every digit.
-
-    Args:
-        path: of the file.
-        header: names of the columns.
-        rows: the fields of each row.
-        comments: lines to write at the end, which readers ignore.
-
-    Raises:
-        ValueError: the file could not be read back with a view's name; nothing is written.
-    """
+    """Write a CSV file and comments after it, completely or not at all; floats keep every digit."""
     if VIEW_COLUMN in header:
         column = list(header).index(VIEW_COLUMN)
         require_readable(f"{path}: view", dict.fromkeys(row[column] for row in rows))
@@ -247,17 +199,7 @@ def write_view_table(
     columns: Sequence[str],
     numbers: Float[np.ndarray, "views numbers"],
 ) -> None:
-    """Write a CSV file with a row of numbers for each view, completely or not at all.
-
-    Args:
-        path: of the file.
-        view_ids: names of the views.
-        columns: names of the columns after the view's name.
-        numbers: of each view.
-
-    Raises:
-        ValueError: the file could not be read back with a view's name; nothing is written.
-    """
+    """Write a CSV file with a row of numbers for each view, completely or not at all."""
     rows = [(view, *map(float, row)) for view, row in zip(view_ids, numbers, strict=True)]
     write_table(path, (VIEW_COLUMN, *columns), rows)
 

@@ -134,15 +134,7 @@ def camera_dataset(
     options: LoadOptions,
     description_path: Path,
 ) -> Dataset:
-    """Return the data set of one camera, whose target is detected in its pictures.
-
-    Args:
-        camera: the description of the camera.
-        readings: what the robot reported in the camera's views.
-        files: pictures of each view.
-        options: how they are read.
-        description_path: path of the description, for error messages.
-    """
+    """Return the data set of one camera, whose target is detected in its pictures."""
     data = dataset_from_pictures(
         files,
         readings.poses,
@@ -166,11 +158,7 @@ def detected_dataset(
     options: LoadOptions,
     description_path: Path,
 ) -> Dataset:
-    """Return the data set of one camera from its table of detected points.
-
-    Args:
-        camera, readings, options, description_path: as for `camera_dataset`.
-    """
+    """Return the data set of one camera from its table of detected points."""
     try:
         detected, table_notes = read_detections(
             camera.detections,
@@ -209,10 +197,7 @@ def detected_dataset(
 
 
 def _with_joints(readings: RobotReadings, data: Dataset, description_path: Path) -> Dataset:
-    """Return the data set with joint readings, pose format and notes of the robot's tables.
-
-    An error names the description file.
-    """
+    """Return the data set with joint readings, pose format and notes of the robot's tables."""
     with errors_at(f"{description_path}: joints"):
         data = readings.with_joints(data)
     return dataclasses.replace(
@@ -226,7 +211,6 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
     Args:
         data: a data set whose points are its target's; without a target they are listed. Or one of
             tracked poses.
-        folder: folder to create.
         pose_format: pose format of the tables: one of `POSE_CODECS`.
 
     Raises:
@@ -251,7 +235,6 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
 
 
 def _save_tracked_poses(data: PoseDataset, folder: Path, pose_format: str) -> None:
-    """Write a data set of tracked poses to a folder."""
     entries = {
         "mount": data.mount,
         "poses": poses_entry(data.view_count, pose_format),
@@ -263,7 +246,6 @@ def _save_tracked_poses(data: PoseDataset, folder: Path, pose_format: str) -> No
 
 
 def _save_pictures(data: Dataset, folder: Path, pose_format: str) -> None:
-    """Write a data set of detected points to a folder."""
     target = described_target(data, "save_dataset: the data set")
     base_from_tool, of_other = data.base_from_tool, {}
     if data.hands is not None:
@@ -288,15 +270,7 @@ def _save_pictures(data: Dataset, folder: Path, pose_format: str) -> None:
 
 
 def described_target(data: Dataset, owner: str) -> AbstractTarget:
-    """Return the target of a data set; of one without a target, its listed points.
-
-    Args:
-        data: the data set.
-        owner: name of the data set for error messages, such as "camera 'left'".
-
-    Raises:
-        ValueError: the points are not the target's, or without a target they differ between views.
-    """
+    """Return the target of a data set, or its listed points; an error names the owner."""
     points, target = np.asarray(data.points), data.target
     if target is None:
         differ = np.flatnonzero((points != points[:1]).any(axis=(1, 2)))
@@ -348,7 +322,6 @@ def write_dataset_folder(
         view_ids: one id for each pose.
         base_from_tool: reported poses, `(views)`.
         image_size: width and height, px.
-        target: the calibration target in the pictures.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         extra_entries: further entries of the description, such as `pictures` or `joints`.
         pose_format: one of `POSE_CODECS`.
@@ -374,17 +347,7 @@ def write_described_folder(
     entries: Mapping[str, Any],
     pose_format: str,
 ) -> None:
-    """Write tables of poses and then the description with the given entries.
-
-    Args:
-        folder: of the data set.
-        poses: view ids and reported poses of each table, by its name.
-        entries: of the description.
-        pose_format: one of `POSE_CODECS`.
-
-    Raises:
-        ValueError: a name or a value with which the folder could not be read back.
-    """
+    """Write tables of poses, by their names, and then the description with the given entries."""
     description = marked_entries(entries)
     schema = schemas.RIG_SCHEMA if "cameras" in description else schemas.DATASET_SCHEMA
     schemas.refuse_unreadable(description, schema, folder / DESCRIPTION_FILE)

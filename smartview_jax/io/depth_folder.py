@@ -54,20 +54,9 @@ _COLUMNS = ("x", "y", "z")
 def read_measured_points(
     path: str | Path, count: int, unit: str | float = "m"
 ) -> Float[np.ndarray, "points 3"]:
-    """Return the points of a target as a depth sensor measured them in one view, m.
+    """Return a target's points as a depth sensor measured them in one view, m; NaN for others.
 
-    Args:
-        path: a file as this module's docstring describes it.
-        count: number of the target's points.
-        unit: of the coordinates: m, cm, mm, or metres by number.
-
-    Returns:
-        The points in the sensor's frame; NaN where not measured.
-
-    Raises:
-        FileNotFoundError: the file is missing.
-        ValueError: another format or number of points, a text that is no number, or a point behind
-            the sensor; the message names the file and the point.
+    The unit is m, cm or mm, or a number of metres; the module's docstring describes the file.
     """
     path = Path(path)
     if not path.is_file():
@@ -130,16 +119,7 @@ def _points_from_array(path: Path) -> np.ndarray:
 
 
 def read_points_folder(described: DescribedFolder, options: LoadOptions) -> PoseDataset:
-    """Read a folder with the points of a target that a depth sensor measured.
-
-    Args:
-        described: a folder with an entry `measured_points`.
-        options: how it is read.
-
-    Raises:
-        ValueError: a wrong entry or file, or points that do not belong to the target.
-        FileNotFoundError: a file is missing.
-    """
+    """Read a folder with the points of a target that a depth sensor measured."""
     content = described.content
     with errors_at(described.path):
         target = read_target(described.folder, content["target"])
@@ -162,18 +142,7 @@ def read_points_folder(described: DescribedFolder, options: LoadOptions) -> Pose
 def read_depth_pictures(
     data: Dataset, readings: RobotReadings, described: DescribedFolder, options: LoadOptions
 ) -> PoseDataset:
-    """Read the depth pictures of a folder at the target's points, detected in its other pictures.
-
-    Args:
-        data: the detected points.
-        readings: what the robot reported.
-        described: a folder with an entry `depth_pictures`.
-        options: how it is read.
-
-    Raises:
-        ValueError: a wrong picture, or depths that do not belong to the target.
-        FileNotFoundError: a picture is missing.
-    """
+    """Read a folder's depth pictures at the target's points, detected in its other pictures."""
     entry = described.content["depth_pictures"]
     files = picture_files(described, entry["pattern"], readings.view_ids, data.target)
     camera = read_camera(described.folder / entry["camera"])

@@ -43,13 +43,7 @@ def write_detections(
     view_ids: Sequence[str],
     pixels: Float[np.ndarray, "views points 2"],
 ) -> int:
-    """Write one row for each detected point, and return the number of rows.
-
-    Args:
-        path: of the file.
-        view_ids: view ids.
-        pixels: detected points, px; NaN where a point was not detected.
-    """
+    """Write one row for each detected point (px, else NaN), and return the number of rows."""
     rows = [
         row
         for view, view_pixels in zip(view_ids, pixels, strict=True)
@@ -60,12 +54,7 @@ def write_detections(
 
 
 def write_kept_detections(path: Path, kept: Mapping[str, KeptDetection]) -> None:
-    """Write detections to the file, to be reused as long as their keys stay the same.
-
-    Args:
-        path: of the file.
-        kept: detections by view id.
-    """
+    """Write detections to the file, to be reused as long as their keys stay the same."""
     rows, comments = [], []
     for view, (key, detection) in kept.items():
         # The number of rows reveals a truncated file.
@@ -95,19 +84,7 @@ def _rows(view: str, pixels: Float[np.ndarray, "points 2"], key: str) -> list[tu
 def read_detections(
     path: Path, view_ids: Sequence[str], point_count: int, stated_rows: int | None = None
 ) -> tuple[Float[np.ndarray, "views points 2"], tuple[str, ...]]:
-    """Read the detected points, px, NaN where a point was not detected, and notes on the table.
-
-    Args:
-        path: of the file.
-        view_ids: ids of all views.
-        point_count: number of points of the target.
-        stated_rows: number of rows that the description states; None if it states none.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: a view without a pose, a point that the target does not have or that a view
-            has twice, a pixel that is not a number, or missing rows.
-    """
+    """Read the detected points, px, NaN where a point was not detected, and notes on the table."""
     table = read_table(path, _COLUMNS, ())
     refuse_truncated(path, table.rows, stated_rows)
     rows, notes = with_names_of(table, view_ids)
@@ -118,16 +95,7 @@ def read_detections(
 def read_kept_detections(
     path: Path, view_ids: Sequence[str], point_count: int
 ) -> dict[str, KeptDetection]:
-    """Read the complete views of a file that `write_kept_detections` wrote.
-
-    Args:
-        path: of the file, which may be missing.
-        view_ids: ids of the views to read; rows of others are ignored.
-        point_count: number of points of the target.
-
-    Raises:
-        ValueError: the file is not a table of detections, or has a wrong value.
-    """
+    """Read the complete views of a file of `write_kept_detections`; none if there is no file."""
     if not path.is_file():
         return {}
     wanted = set(view_ids)
@@ -189,22 +157,7 @@ def values_of_points(
     point_count: int,
     columns: Sequence[str],
 ) -> Float[np.ndarray, "views points columns"]:
-    """Return the numbers that a table has for points of the target, by view and point.
-
-    Args:
-        path: of the table, for messages.
-        rows: of the table, with the columns `view` and `point`.
-        view_ids: ids of all views.
-        point_count: number of points of the target.
-        columns: names of the columns of numbers.
-
-    Returns:
-        The numbers; NaN where a point has no row.
-
-    Raises:
-        ValueError: a view without a pose, a point that the target does not have or that a view has
-            twice, or a field that is not a number; the message names the file and the view.
-    """
+    """Return a table's numbers for points of the target, by view and point; NaN without a row."""
     index = {view: k for k, view in enumerate(view_ids)}
     values = np.full((len(view_ids), point_count, len(columns)), np.nan)
     for row in rows:

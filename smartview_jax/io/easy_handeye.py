@@ -48,7 +48,6 @@ def read_easy_handeye(path: str | Path, mount: str = "eye_in_hand") -> PoseSampl
     """Read a `.samples` file of easy_handeye2.
 
     Args:
-        path: of the file.
         mount: `"eye_in_hand"` or `"eye_to_hand"`, as the samples were taken (`calibration_type`);
             the file does not contain it. For a fixed camera easy_handeye stores the inverse of the
             robot's pose, which is undone here.

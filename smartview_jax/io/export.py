@@ -114,8 +114,7 @@ def ros_static_transform(
 def ros_launch_file(calibration: Calibration, parent: str, child: str, optical: bool = True) -> str:
     """Return a launch file of ROS 2 (XML) that publishes the camera's pose as a static transform.
 
-    Raises:
-        ValueError: a frame's name that ROS does not accept.
+    A frame's name that ROS does not accept is a ValueError.
     """
     pose = mount_from_camera(calibration, optical)
     return static_transform_launch_text(pose, parent, child)

@@ -35,13 +35,7 @@ DESCRIPTION_FILE = "dataset.yaml"
 
 
 class DescribedFolder(NamedTuple):
-    """A folder with the entries of its description, which readers of its parts take.
-
-    Attributes:
-        folder: the folder.
-        content: entries of the description.
-        path: of the description, for messages.
-    """
+    """A folder with the entries of its description, which readers of its parts take."""
 
     folder: Path
     content: dict[str, Any]
@@ -49,12 +43,7 @@ class DescribedFolder(NamedTuple):
 
     @classmethod
     def of(cls, folder: str | os.PathLike[str], file: str = DESCRIPTION_FILE) -> "DescribedFolder":
-        """Read the description of a folder, which is not validated yet.
-
-        Raises:
-            FileNotFoundError: the folder has no such file, or is a file itself.
-            ValueError: the file is not readable.
-        """
+        """Read the description of a folder, which is not validated yet."""
         path = Path(folder) / file
         if path.parent.is_file():
             raise FileNotFoundError(f"{folder}: is a file, expected the folder of a data set")
@@ -66,24 +55,13 @@ class DescribedFolder(NamedTuple):
     def validated(
         self, schema: "schemas.Schema[schemas.Content]"
     ) -> "tuple[DescribedFolder, schemas.Content]":
-        """Return the folder without entries that are null, and its description as its type.
-
-        Raises:
-            ValueError: the content does not fit; the message names the file and the entry.
-        """
+        """Return the folder without entries that are null, and its description as its type."""
         description = schemas.validate_content(self.content, schema, self.path)
         content = {key: value for key, value in self.content.items() if value is not None}
         return self._replace(content=content), description
 
     def of_one_camera(self, otherwise: str = "") -> "tuple[DescribedFolder, schemas.DatasetFile]":
-        """Return the folder and its description, as `validated` does, if it has one camera.
-
-        Args:
-            otherwise: end of the message for several cameras, with what is to be done.
-
-        Raises:
-            ValueError: the folder has several cameras, or the content does not fit.
-        """
+        """Return folder and description if it has one camera; `otherwise` ends the error's text."""
         if self.is_rig:
             raise ValueError(
                 f"{self.path}: cameras: expected a folder with one camera, found several{otherwise}"
@@ -108,7 +86,6 @@ class FolderDescription(NamedTuple):
     """The description of one camera and its target; its pictures may not have been taken yet.
 
     Attributes:
-        target: the target in its pictures.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         image_size: width and height of its pictures, px.
         holder_from_world: approximate pose of the target; None if it is not known.
@@ -144,15 +121,7 @@ def read_folder_description(folder: str | Path) -> FolderDescription:
 def described_camera(
     described: DescribedFolder, description: "schemas.DatasetFile"
 ) -> FolderDescription:
-    """Return the description of the camera of a folder with pictures.
-
-    Args:
-        described: the folder.
-        description: its description, validated.
-
-    Raises:
-        ValueError: a wrong target or rough pose; the message names the file.
-    """
+    """Return the description of the camera of a folder with pictures."""
     assert description.camera is not None
     width, height = description.camera.image_size
     with errors_at(described.path):

@@ -57,10 +57,7 @@ def picture_files(
     """Return the picture files of each view: one, or one for each height of a `StackedTarget`.
 
     Args:
-        described: the folder.
         pattern: of the files' names, as `schemas.dataset` defines it.
-        view_ids: ids of the views.
-        target: the calibration target in the pictures.
         board_heights: index of the height in the only picture of a view; see `read_board_heights`.
 
     Raises:
@@ -112,17 +109,7 @@ class _Spellings:
 def numbered_pictures(
     folder: Path, pattern: str, numbers: Sequence[int], poses_path: Path
 ) -> dict[str, list[Path]]:
-    """Return the picture of each numbered view, by view id.
-
-    Args:
-        folder: folder to which the pattern is relative.
-        pattern: file name with `{view}`, formatted by the number.
-        numbers: numbers of the views.
-        poses_path: file of the poses, for the error message.
-
-    Raises:
-        ValueError: a pattern without `{view}`, or pictures without a pose.
-    """
+    """Return the picture of each numbered view, by view id; the pattern has `{view}` in it."""
     if "{view" not in pattern:
         raise ValueError(f"pictures: expected a name with {{view}} in it, found {pattern!r}")
     files = {str(number): [folder / pattern.format(view=number)] for number in numbers}
@@ -191,12 +178,6 @@ def read_board_heights(
         table: the table of poses, joint readings or picture times; None if the poses are in a file
             of another format, which has no further columns.
         target: only a `StackedTarget` has several heights.
-        view_ids: ids of all views in the table.
-        suffix: suffix of the names in the table that the ids do not have.
-
-    Raises:
-        ValueError: a row whose height is not an index of the target's heights; names file and
-            view.
     """
     if not isinstance(target, StackedTarget) or table is None:
         return None

@@ -94,7 +94,6 @@ class GrowingDataset:
 
         Args:
             picture: grey or in OpenCV's colour order, of the size in the description.
-            base_from_tool: the pose that the robot reports.
             name: a new name; by default `next_name()`.
 
         Raises:
@@ -172,7 +171,6 @@ class GrowingDataset:
             )
 
     def _row(self, view: str, base_from_tool: SE3) -> str:
-        """Return the line of a view in the table."""
         form = self.pose_format
         pose = as_se3(base_from_tool)
         refuse_out_of_range(self.table, np.asarray(pose.translation())[None], [view])
@@ -186,7 +184,6 @@ class GrowingDataset:
         return row_text([fields[column] for column in self._header])
 
     def _picture_path(self, view: str) -> Path:
-        """Return the path of a view's picture."""
         return self.folder / self._pattern.format(view=view)
 
     def _remove_unfinished_files(self) -> None:

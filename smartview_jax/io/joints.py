@@ -41,10 +41,8 @@ class ReadJoints(NamedTuple):
     """The joint readings of a table, by view.
 
     Attributes:
-        view_ids: view ids.
         readings: rad (m for a prismatic joint).
         arm: the arm that has these readings.
-        table: the file as a table.
         notes: sentences on what was recognised in the table.
     """
 
@@ -56,16 +54,7 @@ class ReadJoints(NamedTuple):
 
 
 def read_joints(described: DescribedFolder, view_ids: Sequence[str] | None) -> ReadJoints:
-    """Read view ids, joint readings (rad, m) and arm from the entry `joints` of a description.
-
-    Args:
-        described: a folder with an entry `joints`, as `schemas.dataset` defines it.
-        view_ids: view ids in the order wanted; None keeps the order of the file.
-
-    Raises:
-        ValueError: naming the file and the entry or view that is wrong.
-        FileNotFoundError: the table is missing.
-    """
+    """Read view ids (in the wanted order), readings (rad, m) and arm from the entry `joints`."""
     content = described.content["joints"]
     arm = _arm_from_entry(content.get("arm"), described.path)
     path, columns = described.folder / content["file"], _joint_columns(arm)

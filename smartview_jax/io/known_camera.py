@@ -224,11 +224,7 @@ def _array(matrix: "schemas.OpenCVMatrix", name: str, path: str | Path) -> np.nd
 
 
 def _lens(coefficients: Sequence[float], model: str | None, path: str | Path) -> AbstractLens:
-    """Return the lens model with this number of coefficients (4, 5 or 8), or the named fisheye.
-
-    Raises:
-        ValueError: no lens has so many coefficients; the message names the file.
-    """
+    """Return the lens model with this number of coefficients (4, 5 or 8), or the named fisheye."""
     # `equidistant` is ROS's name of OpenCV's fisheye; its four coefficients differ from OpenCV4's.
     fisheye, count = model == "equidistant", len(coefficients)
     kinds = {4: Fisheye} if fisheye else {4: OpenCV4, 5: OpenCV5, 8: OpenCV8}
@@ -241,14 +237,7 @@ def _lens(coefficients: Sequence[float], model: str | None, path: str | Path) ->
 def _camera(
     intrinsics: Sequence[float], lens: AbstractLens, size: Sequence[int], source: str
 ) -> Camera:
-    """Return a camera with the same limits as in calibration.yaml: a plausible focus and centre.
-
-    Args:
-        intrinsics: alpha_u, alpha_v, u0, v0.
-        lens: lens model.
-        size: width and height of the pictures, px.
-        source: file and entry, for messages.
-    """
+    """Return a camera of alpha_u, alpha_v, u0, v0, within the limits of calibration.yaml."""
     names = ("alpha_u", "alpha_v", "u0", "v0")
     numbers = {name: float(x) for name, x in zip(names, intrinsics, strict=True)}
     schemas.validate_content(numbers, schemas.PINHOLE_SCHEMA, source)

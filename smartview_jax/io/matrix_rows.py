@@ -85,7 +85,6 @@ def import_matrix_rows(
         pictures: pattern of the pictures' names, relative to the file's folder, with the number as
             in `str.format`, such as `"images/{view:03d}.png"`. There must be one picture for each
             line, and no others.
-        target: the calibration target in the pictures.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         first: number of the first line's picture.
         options: `bad_views`, `progress` and `detection_limits`, as in `load_dataset`.

@@ -123,11 +123,7 @@ def to_trimesh(model: ObjectModel) -> "trimesh.Trimesh":
 
 
 def face_triangles(vertices: Float[np.ndarray, "V 3"], face: Face) -> Int[np.ndarray, "T 3"]:
-    """Return a face cut into triangles: vertex indices, in the orientation of the face.
-
-    Raises:
-        ImportError: mapbox-earcut is not installed.
-    """
+    """Return a face cut into triangles: vertex indices, in the orientation of the face."""
     mapbox_earcut = import_extra("mapbox_earcut", "objects", "cutting faces into triangles")
     plane = face_plane(vertices, face)
     # Earcut works in the plane and takes all loops one after the other.
@@ -163,7 +159,6 @@ def model_from_triangles(
         triangles: counter-clockwise as seen from outside; others are turned over, and the model's
             `provenance` says so (`repaired_triangles`).
         sharp_angle: smallest bend of the surface that is an edge, rad.
-        name: of the model.
         source: origin of the mesh, for the provenance.
 
     Raises:
@@ -295,14 +290,10 @@ def _renumbered(loop: Iterable[int], number: Int[np.ndarray, "V"]) -> tuple[int,
 
 
 def refuse_broken_text(path: Path, kind: str) -> None:
-    """Raise a ValueError if a mesh in text form has rows too many or too few, or of other lengths.
+    """Raise a ValueError if an OBJ or a PLY in text form has too many or too few numbers or rows.
 
     trimesh reads what it finds: a number that a blank has broken in two is another vertex, and of a
     PLY only as many lines are read as its header says.
-
-    Args:
-        path: of the file.
-        kind: its format; files of other formats than OBJ and PLY pass.
     """
     if kind == "obj":
         _check_obj(path)

@@ -130,22 +130,14 @@ _POSES = """poses:
 
 
 def new_pose_tables(arms: Mapping[str, str] | None) -> dict[str, str]:
-    """Return the table of poses of each arm in a new folder, relative to it, by the arm's name.
-
-    Args:
-        arms: as in `write_new_dataset`.
-    """
+    """Return each arm's table of poses in a new folder, by the arms of `write_new_dataset`."""
     names = dict.fromkeys(arm for entry in (arms or {}).values() for arm in arms_of(entry))
     tables = {arm: f"{arm}/{POSES_FILE}" for arm in names}
     return tables or {ONE_ARM: POSES_FILE}
 
 
 def found_pictures(pictures: Path) -> FoundPictures | None:
-    """Return the pictures already in a folder such as `images`; None if there are none.
-
-    Raises:
-        ValueError: the first picture cannot be read.
-    """
+    """Return the pictures in a folder, or None; an unreadable first one is a ValueError."""
     files = sorted(filter(is_picture_name, pictures.iterdir())) if pictures.is_dir() else []
     if not files:
         return None
@@ -297,7 +289,6 @@ def write_description(
 
     Args:
         folder: folder to create.
-        target: the calibration target.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         image_size: width and height of the pictures, px.
         pose_format: one of `POSE_CODECS`.

@@ -108,11 +108,7 @@ def object_model_to_dict(model: ObjectModel) -> dict[str, Any]:
 
 
 def object_model_from_dict(content: Any) -> ObjectModel:
-    """Return the model of a file's content, converted to metres.
-
-    Raises:
-        ValueError: naming the entry that is missing or wrong.
-    """
+    """Return the model of a file's content, in metres; a ValueError names a wrong entry."""
     file = schemas.validate_content(content, schemas.OBJECT_MODEL_SCHEMA)
     scale = LENGTH_UNITS[file.unit]
     symmetry = file.symmetry
@@ -159,7 +155,6 @@ def _readable_json(content: dict[str, Any]) -> str:
 
 
 def _face_to_dict(face: Face) -> dict[str, Any]:
-    """Return a face as a mapping, without empty entries."""
     return {
         **({"name": face.name} if face.name else {}),
         "loop": list(face.loop),
@@ -218,7 +213,6 @@ def _covariance(entry: Any) -> np.ndarray:
 
 
 def _matrix(rows: list[list[float]], entry: str) -> np.ndarray:
-    """Return rows of numbers as a matrix."""
     if len({len(row) for row in rows}) > 1:
         raise ValueError(f"{entry}: its rows have different lengths")
     return np.array(rows, float).reshape(len(rows), -1)

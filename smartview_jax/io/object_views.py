@@ -53,7 +53,6 @@ class ObjectViews(NamedTuple):
     """Pictures of an object and the robot's reported poses.
 
     Attributes:
-        view_ids: names of the views.
         paths: files of the pictures.
         pictures: grey levels.
         command: reported pose of each view, with joint readings if the folder has them.
@@ -182,14 +181,12 @@ def write_object_views(
     """Write pictures of an object and their poses as a folder that `load_object_views` reads.
 
     Args:
-        folder: folder to create.
         view_ids: names of the views, used as file names.
         pictures: one for each view, all of the same size.
         command: poses that the robot reported, `(views)`; with joint readings if the calibration
             corrects errors of the arm.
         suffix: format of the picture files; `".jpg"` is small, `".png"` lossless.
         pose_format: pose format of `poses.csv`: one of `POSE_CODECS`.
-        arm: the arm that has the joint readings.
 
     Raises:
         ValueError: numbers of views, pictures, poses and readings differ, or the pictures' sizes

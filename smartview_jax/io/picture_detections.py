@@ -37,7 +37,6 @@ class ShownTarget(NamedTuple):
     """The target that pictures show, and what is known of the pictures before.
 
     Attributes:
-        target: the calibration target.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         image_size: width and height of every picture, px; None for the first picture's.
         holder_from_world: approximate pose of the target: `base_from_world`, or `tool_from_world`
@@ -60,16 +59,7 @@ def detect_views(
     options: LoadOptions,
     cache: Path | None = None,
 ) -> tuple[dict[str, Detection], tuple[int, int]]:
-    """Detect the target in every view, and return the detections and the pictures' size, px.
-
-    Args:
-        pictures, shown, options, cache: as in `dataset_from_pictures`.
-
-    Raises:
-        FileNotFoundError: a picture is missing and views are not masked, or all are missing.
-        ValueError: a picture is unreadable or has a wrong size and views are not masked, or all
-            are.
-    """
+    """Detect the target in every view, and return the detections and the pictures' size, px."""
     report_progress = options.progress or (lambda _: None)
     limits, target = options.detection_limits or DetectionLimits(), shown.target
     _refuse_missing(pictures, options.bad_views == "mask")
@@ -154,13 +144,9 @@ def _detect_view(
 
 
 def _refuse_missing(pictures: Mapping[str, Sequence[Path]], masked: bool) -> None:
-    """Raise a FileNotFoundError if a picture is missing, before the target is looked for in any.
+    """Raise a FileNotFoundError for a missing picture, or where views are masked for all of them.
 
     If none exists, the folder or the suffix is wrong: the error lists what the folder has.
-
-    Args:
-        pictures: files by view id.
-        masked: whether the views of single missing pictures are left out instead.
     """
     paths = [path for view_paths in pictures.values() for path in view_paths]
     if not paths:
@@ -192,12 +178,7 @@ def _refuse_missing(pictures: Mapping[str, Sequence[Path]], masked: bool) -> Non
 def _checked_size(
     pictures: Mapping[str, Sequence[Path]], stated: tuple[int, int] | None
 ) -> tuple[int, int]:
-    """Return the stated size of the pictures, or the first picture's if none is stated.
-
-    Raises:
-        ValueError: no picture can be read, or none has the stated size, so that the description
-            is wrong.
-    """
+    """Return the stated size of the pictures, or the first picture's if none is stated."""
     first_error: Exception | None = None
     other_sizes: list[tuple[int, int]] = []
     for path in (path for paths in pictures.values() for path in paths):

@@ -35,7 +35,6 @@ def dataset_from_pictures(
     Args:
         pictures: files by view id: one, or one for each height of a `StackedTarget`.
         base_from_tool: `(views)` robot poses, in the order of `pictures`.
-        shown: the target in the pictures.
         options: how pictures are read; their `keep_detections` is not used.
         masked_views: reason by view id, for views already known to be unusable.
         cache: a `detections.csv` to read if it belongs to these pictures, and to write otherwise.

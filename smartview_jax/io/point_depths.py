@@ -41,18 +41,7 @@ _COLUMNS = ("view", "point", "depth_m")
 def with_folder_depths(
     data: Dataset, described: DescribedFolder, options: LoadOptions, table: str = DEPTHS_FILE
 ) -> Dataset:
-    """Return the data set of a folder with the depths at its points, if it has any.
-
-    Args:
-        data: the detected points.
-        described: the folder.
-        options: how it is read.
-        table: name of the table of depths in the folder.
-
-    Raises:
-        ValueError: a wrong picture or table, or depths that do not belong to the target.
-        FileNotFoundError: a file is missing.
-    """
+    """Return the data set of a folder with the depths at its points, if it has any."""
     content, notes = described.content, ()
     if "depth_pictures" in content:
         entry = content["depth_pictures"]
@@ -71,10 +60,7 @@ def with_folder_depths(
 def _depths_of_pictures(
     data: Dataset, described: DescribedFolder, options: LoadOptions
 ) -> tuple[Float[np.ndarray, "views points"], tuple[str, ...]]:
-    """Return the depths of pictures at the detected points, and notes on pictures left out.
-
-    Depths are NaN where there is none.
-    """
+    """Return depths at the detected points, else NaN, and notes on pictures left out."""
     entry = described.content["depth_pictures"]
     files = picture_files(described, entry["pattern"], data.view_ids, data.target)
     pixels, notes = np.asarray(data.pixels), []

@@ -40,7 +40,6 @@ class PoseFormat(NamedTuple):
     """A pose format and the units of a table.
 
     Attributes:
-        codec: the format.
         length_unit: a key of `LENGTH_UNITS`.
         angle_unit: a key of `ANGLE_UNITS`.
         columns: names of the table's columns, in the codec's order.
@@ -60,12 +59,7 @@ class PoseFormat(NamedTuple):
 
 
 def pose_columns(codec: PoseCodec, units: tuple[str, str] | None = None) -> tuple[str, ...]:
-    """Return the names of a pose format's columns with units appended.
-
-    Args:
-        codec: the format.
-        units: of length and of angle; by default the manufacturer's.
-    """
+    """Return the names of a pose format's columns with units, by default the manufacturer's."""
     length, angle = units or codec.units
     # Numbers without a unit, such as a quaternion's, keep their bare names.
     return tuple(
@@ -79,11 +73,7 @@ def pose_columns(codec: PoseCodec, units: tuple[str, str] | None = None) -> tupl
 
 
 def codec_of_rows(path: Path, rows: Sequence[Mapping[str, str]]) -> PoseCodec | None:
-    """Return the codec that the column `format` names, or None where there is no such column.
-
-    Raises:
-        ValueError: an unknown format, or more than one.
-    """
+    """Return the codec that the column `format` names, or None where there is no such column."""
     names = sorted({row[FORMAT_COLUMN] for row in rows if FORMAT_COLUMN in row})
     if len(names) > 1:
         raise ValueError(f"{path}: format: expected one for all views, found {', '.join(names)}")
@@ -97,17 +87,9 @@ def table_format(
     stated: Mapping[str, Any],
     entry: str = "poses",
 ) -> PoseFormat:
-    """Return the format of a table from its header and from a description.
+    """Return the format of a table, from its header and from a description's entry.
 
-    Args:
-        path: of the table, for messages.
-        rows: of the table, by column; at least one.
-        stated: the description's entry, whose keys `codec`, `length_unit`, `angle_unit` and
-            `direction` may be missing where the header says the same.
-        entry: name of this entry, for messages.
-
-    Raises:
-        ValueError: header and description are incomplete or contradict each other.
+    The entry may lack `codec`, `length_unit`, `angle_unit` or `direction` if the header has them.
     """
     # The column `format` decides first, then the units in the header, then the description.
     named = codec_of_rows(path, rows)
@@ -132,12 +114,7 @@ def table_format(
 
 
 def header_formats(header: Sequence[str], named: PoseCodec | None = None) -> list[PoseFormat]:
-    """Return the formats whose columns, with units, are all in a header.
-
-    Args:
-        header: names of the table's columns.
-        named: the only format to look for; None for all formats.
-    """
+    """Return the formats, or the named one, whose columns with their units are all in a header."""
     formats: dict[tuple[str, tuple[str, ...]], PoseFormat] = {}
     for codec in POSE_CODECS.values() if named is None else (named,):
         for length in LENGTH_UNITS:
@@ -151,11 +128,7 @@ def header_formats(header: Sequence[str], named: PoseCodec | None = None) -> lis
 
 
 def stated_format(read_format: PoseFormat, stated: Mapping[str, Any], path: Path) -> PoseFormat:
-    """Return the format of a file that states it; raise if a description contradicts it.
-
-    Raises:
-        ValueError: the description contradicts the file.
-    """
+    """Return the format of a file that states it; raise if a description contradicts it."""
     problem = _contradiction(read_format, stated)
     if problem is not None:
         raise ValueError(f"{path}: {problem}")
@@ -165,17 +138,7 @@ def stated_format(read_format: PoseFormat, stated: Mapping[str, Any], path: Path
 def decoded_poses(
     path: Path, form: PoseFormat, rows: Float[np.ndarray, "poses columns"], labels: Sequence[str]
 ) -> SE3:
-    """Return `base_from_tool` of the rows of a table, which may hold inverse poses.
-
-    Args:
-        path: of the table, for messages.
-        form: format of the rows.
-        rows: numbers in the codec's order.
-        labels: a name for each row, for messages.
-
-    Raises:
-        ValueError: a row is not a pose.
-    """
+    """Return `base_from_tool` of the rows of a table, which may hold inverse poses."""
     with errors_at(path):
         poses = form.codec.decode(rows, *form.units, labels=labels)
     if form.direction != COMMANDED_DIRECTION:
@@ -216,11 +179,7 @@ def _contradiction(read_format: PoseFormat, stated: Mapping[str, Any]) -> str | 
 
 
 def _stated_format(path: Path, stated: Mapping[str, Any], entry: str) -> PoseFormat:
-    """Return the format that a description states without help of the header.
-
-    Raises:
-        ValueError: something is not stated.
-    """
+    """Return the format that a description states without help of the header."""
     missing = [key for key in _STATED if stated.get(key) is None]
     if missing:
         raise ValueError(

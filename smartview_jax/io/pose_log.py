@@ -28,7 +28,7 @@ from .csv_tables import (
     write_table,
 )
 from .pose_format import decoded_poses, table_format
-from .poses import RobotReadings
+from .poses import RobotReadings, poses_entry
 
 LOG_FILE, TIMES_FILE = "log.csv", "times.csv"
 """The names of the files that `write_pose_log` writes."""
@@ -42,7 +42,6 @@ class PoseLog(NamedTuple):
 
     Attributes:
         trajectory: the poses over the robot's time.
-        view_ids: names of the views.
         picture_times: a time for each view, s.
         time_offset: stated difference of the clocks, robot's minus camera's, s.
         times_path: the table of the pictures' times, for messages.
@@ -104,12 +103,7 @@ class PoseLog(NamedTuple):
 
 
 def read_pose_log(folder: Path, content: Mapping[str, Any]) -> PoseLog:
-    """Read the two tables of an entry `poses` with `picture_times`.
-
-    Raises:
-        FileNotFoundError: a table is missing.
-        ValueError: something is wrong in it; the message names the file and the row or view.
-    """
+    """Read the two tables of an entry `poses` with `picture_times`."""
     path, times_path = folder / content["file"], folder / content["picture_times"]
     table = read_table(path, ("time",))
     refuse_truncated(path, table.rows, content.get("rows"))
@@ -162,10 +156,8 @@ def write_pose_log(
     """Write the two tables of a log, and return the entry `poses` that describes them.
 
     Args:
-        folder: of the data set.
         times: times of the poses by the robot's clock, s.
         base_from_tool: poses, `(logged)`.
-        view_ids: names of the views.
         picture_times: a time for each view by the camera's clock, s.
         pose_format: one of `POSE_CODECS`, written in its manufacturer's units.
 
@@ -182,15 +174,7 @@ def write_pose_log(
     write_table(folder / LOG_FILE, ("time", *codec.columns), rows)
     views = list(zip(view_ids, np.asarray(picture_times).tolist(), strict=True))
     write_table(folder / TIMES_FILE, ("view", "time"), views)
-    return {
-        "file": LOG_FILE,
-        "codec": codec.name,
-        "length_unit": codec.units[0],
-        "angle_unit": codec.units[1],
-        "direction": "base_from_tool",
-        "rows": len(rows),
-        "picture_times": TIMES_FILE,
-    }
+    return {**poses_entry(len(rows), pose_format, LOG_FILE), "picture_times": TIMES_FILE}
 
 
 def _in_order(
@@ -200,9 +184,6 @@ def _in_order(
 
     Recorders that merge several topics write rows late and repeat them. The time is the first
     column.
-
-    Raises:
-        ValueError: two poses at one time.
     """
     notes = []
     if (np.diff(numbers[:, 0]) < 0.0).any():

@@ -45,7 +45,6 @@ class RobotReadings(NamedTuple):
     """The robot's reported poses by view, with joint readings if the folder has them.
 
     Attributes:
-        view_ids: view ids.
         poses: reported `base_from_tool`, `(views)`.
         masked_views: reason by view id, for the views whose row is not a valid pose.
         table: the table that has a row for each view; None if the poses are in a file in JSON.
@@ -92,15 +91,7 @@ def read_poses(
 ) -> RobotReadings:
     """Read view ids and poses, and the reasons of masked views by view id.
 
-    Args:
-        folder: of the data set.
-        content: the entry of the table, as `schemas.dataset` defines `poses`.
-        bad_views: `"mask"` to mask views whose row is not a valid pose, `"raise"` to raise.
-        entry: name of the entry, for messages.
-
-    Raises:
-        ValueError: a wrong value; the message names the file and the view.
-        FileNotFoundError: the table is missing.
+    A row that is no valid pose masks its view if `bad_views` is `"mask"`, else it is an error.
     """
     path = folder / content["file"]
     if path.suffix == ".json":
@@ -140,11 +131,9 @@ def write_poses(
     """Write a table of poses, which `poses_entry` describes.
 
     Args:
-        folder: of the data set.
         view_ids: one id for each pose.
         poses: such as the robot's reported `base_from_tool`, `(views)`.
         pose_format: one of `POSE_CODECS`, written in its manufacturer's units.
-        file: name of the table.
 
     Raises:
         ValueError: an unknown format, or a name or position with which the file could not be read
@@ -164,7 +153,6 @@ def poses_entry(
     Args:
         count: number of the table's rows; None for a table that will grow.
         pose_format: one of `POSE_CODECS`.
-        file: name of the table.
 
     Raises:
         ValueError: an unknown format.

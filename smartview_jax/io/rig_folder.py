@@ -197,18 +197,9 @@ def _views_of_camera(
     pattern: str,
     options: LoadOptions,
 ) -> Dataset:
-    """Return the data set of one camera, of the states in which it took a picture.
+    """Return the data set of one camera, of those states in which it took a picture.
 
-    Args:
-        name: of the camera.
-        camera: description of the camera.
-        readings: what the robot reported, in all states.
-        robot: description of its tables.
-        pattern: of the camera's pictures; empty where only detections are known.
-        options: of the loading.
-
-    Raises:
-        FileNotFoundError: the camera has no picture.
+    Without a pattern of pictures only the detected points are known.
     """
     if not pattern:
         readings = readings.of_views(_detected_views(camera, readings))
@@ -223,7 +214,6 @@ def _views_of_camera(
 def _cameras(
     described: DescribedFolder, description: "schemas.RigFile"
 ) -> dict[str, FolderDescription]:
-    """Return the description of each camera."""
     folder, content = described.folder, described.content
     with errors_at(described.path):
         named = content.get("targets") or {"": content["target"]}
@@ -285,7 +275,6 @@ def save_rig(rig: Rig, folder: str | os.PathLike[str], pose_format: str = "matri
 
     Args:
         rig: data sets whose points are their targets'; without a target they are listed.
-        folder: folder to create.
         pose_format: pose format of the table: one of `POSE_CODECS`.
 
     Raises:
@@ -307,7 +296,6 @@ def save_rig(rig: Rig, folder: str | os.PathLike[str], pose_format: str = "matri
 
 
 def _save_rig(rig: Rig, folder: Path, pose_format: str) -> None:
-    """Write a rig to a folder."""
     targets = _described_targets(rig)
     several = len(rig.robot_names) > 1
     places = {arm: f"{arm}/" if several else "" for arm in rig.robot_names}
@@ -363,12 +351,6 @@ def _states(rig: Rig, arm: str) -> dict[str, Float[np.ndarray, "4 4"]]:
 
 
 def _described_targets(rig: Rig) -> dict[str, AbstractTarget]:
-    """Return the targets by name.
-
-    Raises:
-        ValueError: points that are not the target's, or cameras that describe one target
-            differently.
-    """
     targets: dict[str, AbstractTarget] = {}
     # The target of listed points may be described by another camera.
     for name, data in sorted(rig.cameras.items(), key=lambda item: item[1].target is None):

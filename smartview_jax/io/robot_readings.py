@@ -10,16 +10,7 @@ from .poses import RobotReadings, read_poses
 
 
 def read_robot_readings(described: DescribedFolder, bad_views: str) -> RobotReadings:
-    """Read the tables that the entries `poses` and `joints` of a description name.
-
-    Args:
-        described: the folder.
-        bad_views: `"mask"` to mask views whose row is not a valid pose, `"raise"` to raise.
-
-    Raises:
-        ValueError: a wrong entry or view; the message names it and the file.
-        FileNotFoundError: a table is missing.
-    """
+    """Read the tables that the entries `poses` and `joints` of a description name."""
     readings = _read_tables(described, bad_views)
     suffix = suffix_in_names(described, readings.view_ids)
     if not suffix:
@@ -35,12 +26,7 @@ def read_robot_readings(described: DescribedFolder, bad_views: str) -> RobotRead
 
 
 def read_sound_readings(described: DescribedFolder) -> RobotReadings:
-    """Read the tables of a description, all of whose views must have a valid pose.
-
-    Raises:
-        ValueError: a wrong entry or view; the message names it and the file.
-        FileNotFoundError: a table is missing.
-    """
+    """Read the tables of a description, all of whose views must have a valid pose."""
     readings = read_robot_readings(described, "raise")
     for view, reason in readings.masked_views.items():
         raise ValueError(f"{described.view_table}: view {view}: {reason}: remove this view")
@@ -50,13 +36,7 @@ def read_sound_readings(described: DescribedFolder) -> RobotReadings:
 def suffix_in_names(described: DescribedFolder, view_ids: Sequence[str]) -> str:
     """Return the picture suffix that all view names end in although the pattern adds it too.
 
-    Args:
-        described: the folder.
-        view_ids: names of the views as the table has them.
-
-    Returns:
-        A suffix such as `".png"`; empty if the names do not have it, or if the pattern with the
-        full names gives existing pictures.
+    It is empty if the names do not have it, or if pictures of the full names exist.
     """
     pattern = (described.content.get("pictures") or {}).get("pattern", "")
     suffix = Path(pattern).suffix

@@ -45,8 +45,6 @@ def robot_urdf(
     Args:
         calibration: a calibration that corrects an arm's joints and links, or no robot error.
         arm: the arm of a calibration without robot error, which does not know it.
-        tool: name of the tool's link.
-        camera: name of the camera's link.
         joint_names: name of each joint, in the arm's order; by default joint_1, joint_2, ...
 
     Raises:
@@ -80,16 +78,9 @@ def robot_urdf(
 
 
 def actual_arm(calibration: Calibration, arm: SerialArm | None = None) -> SerialArm:
-    """Return the arm as it is: with the zeros, lengths and twists that the calibration found.
+    """Return the arm with the zeros, lengths and twists that were found, or the given arm.
 
     Joints that displace the tool by at most `MAX_BENDING` as they bend are taken as rigid.
-
-    Args:
-        calibration: the calibration.
-        arm: the arm of a calibration without robot error.
-
-    Raises:
-        ValueError: no arm is known, or the robot error is of a kind that no URDF has.
     """
     error = calibration.robot_error
     if error is None:
@@ -178,7 +169,6 @@ def _joint(
     origin: Float[np.ndarray, "4 4"],
     motion: tuple[str, list[str]] = ("fixed", []),
 ) -> list[str]:
-    """Return the lines of a joint."""
     kind, lines = motion
     return [
         f'  <joint name="{name}" type="{kind}">',

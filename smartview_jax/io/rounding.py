@@ -21,11 +21,6 @@ def rounding_note(name: str, rows: Float[np.ndarray, "views numbers"], form: Pos
     """Return a sentence on rounded poses; empty if their digits are enough.
 
     Rounding to steps of s makes errors of s / sqrt(12), standard deviation.
-
-    Args:
-        name: of the table.
-        rows: the numbers as they are in it, in the order of the format's columns.
-        form: the format.
     """
     lengths = list(form.codec.length_columns)
     others = np.setdiff1d(np.arange(rows.shape[1]), lengths)

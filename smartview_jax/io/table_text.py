@@ -59,7 +59,6 @@ class TableText(NamedTuple):
     """The fields of a table, and what was recognised in its text.
 
     Attributes:
-        header: names of the columns.
         rows: fields of each row, as many as the header has.
         seen: differences from a UTF-8 table with commas and decimal points, for the user.
         comments: lines that begin with "#".
@@ -86,12 +85,7 @@ class NumberRows(NamedTuple):
 
 
 def decoded_lines(path: Path) -> tuple[list[str], str]:
-    """Return the lines of a table's file, and the name of its encoding unless it is UTF-8.
-
-    Raises:
-        FileNotFoundError: the file is missing.
-        ValueError: it is not a text; the message says how to save it.
-    """
+    """Return the lines of a table's file, and the name of its encoding unless it is UTF-8."""
     require_file(path)
     content = path.read_bytes()
     marked = next((e for mark, e in _BYTE_ORDER_MARKS.items() if content.startswith(mark)), None)
@@ -109,17 +103,7 @@ def decoded_lines(path: Path) -> tuple[list[str], str]:
 
 
 def read_table_text(path: Path, is_header: Callable[[Sequence[str]], bool]) -> TableText:
-    """Read the fields of a table.
-
-    Args:
-        path: of the table.
-        is_header: function that returns whether the column names are those that the caller
-            needs; it decides between separators.
-
-    Raises:
-        FileNotFoundError: the file is missing.
-        ValueError: it is not a table, or is ambiguous; the message says what to change.
-    """
+    """Read a table's fields, with the separator that gives a header which the caller accepts."""
     lines, encoding = decoded_lines(path)
     seen = [f"in the encoding {encoding}"] if encoding else []
     comments = tuple(line for line in lines if line.startswith("#"))
@@ -159,12 +143,7 @@ def read_table_text(path: Path, is_header: Callable[[Sequence[str]], bool]) -> T
 
 
 def read_number_rows(path: Path, count: int) -> NumberRows:
-    """Read rows of `count` numbers each, separated by blanks, tabs, commas or semicolons.
-
-    Raises:
-        FileNotFoundError: the file is missing.
-        ValueError: a row with a wrong number of fields, named by its line, or ambiguous numbers.
-    """
+    """Read rows of `count` numbers each, separated by blanks, tabs, commas or semicolons."""
     lines, encoding = decoded_lines(path)
     texts = {number: line.split("#")[0].strip() for number, line in enumerate(lines, start=1)}
     texts = {number: text for number, text in texts.items() if text}
@@ -187,11 +166,7 @@ def read_number_rows(path: Path, count: int) -> NumberRows:
 
 
 def _plain_numbers(path: Path, rows: list[list[str]]) -> tuple[list[list[str]], tuple[str, ...]]:
-    """Return fields with numbers as Python writes them, and notes on what was changed.
-
-    Raises:
-        ValueError: a comma or point is ambiguous; the message says what to change.
-    """
+    """Return fields with numbers as Python writes them, and notes on what was changed."""
     seen: list[str] = []
     given = [field for row in rows for field in row]
 
@@ -299,12 +274,7 @@ def is_number(text: str) -> bool:
 def _has_decimal_commas(path: Path, fields: Sequence[tuple[str, str]]) -> bool:
     """Return whether the numbers among some fields have decimal commas.
 
-    Args:
-        path: of the table, for messages.
-        fields: each field without unambiguous thousands separators, and as given.
-
-    Raises:
-        ValueError: a comma may separate thousands, or some numbers have decimal points.
+    Each field is given without unambiguous thousands separators, and as it was written.
     """
 
     def fitting(pattern: re.Pattern[str], mark: str) -> list[tuple[str, str]]:

@@ -63,16 +63,7 @@ _SENSOR_COLUMNS = (
 
 
 def read_tracked_folder(described: DescribedFolder, bad_views: str) -> PoseDataset:
-    """Read the pairs of poses of a folder.
-
-    Args:
-        described: a folder with an entry `tracked_poses`.
-        bad_views: `"raise"` an error for a pose that is not rigid, or `"mask"` its view.
-
-    Raises:
-        ValueError: a wrong entry or view; the message names it and the file.
-        FileNotFoundError: a table is missing.
-    """
+    """Read the pairs of poses of a folder with an entry `tracked_poses`."""
     folder, content = described.folder, described.content
     readings, entry = read_robot_readings(described, bad_views), content["tracked_poses"]
     stated = {**entry, "direction": _DIRECTIONS[entry["direction"]]}
@@ -103,12 +94,7 @@ def read_tracked_folder(described: DescribedFolder, bad_views: str) -> PoseDatas
 
 
 def write_tracked_poses(data: PoseDataset, folder: Path, pose_format: str) -> dict[str, Any]:
-    """Write the table of a tracker, and return the entry that describes it.
-
-    Raises:
-        ValueError: an unknown pose format, or a name or position with which the table could not be
-            read back; nothing is written.
-    """
+    """Write the table of a tracker, and return the entry that describes it."""
     seen = np.flatnonzero(data.seen)
     seen_ids = [data.view_ids[view] for view in seen]
     tracked = as_se3(data.tracked_matrices[seen])
@@ -149,13 +135,7 @@ def _write_covariances(data: PoseDataset, folder: Path) -> dict[str, Any]:
 def _with_read_covariances(
     data: PoseDataset, folder: Path, entry: Mapping[str, Any]
 ) -> PoseDataset:
-    """Return a data set with the covariances that its folder states, if it states any.
-
-    Raises:
-        FileNotFoundError: the table is missing.
-        ValueError: a view without a pose, or that has no or several covariances, a number that is
-            none, or a matrix that is no covariance; the message names the file and the view.
-    """
+    """Return a data set with the covariances that its folder states, if it states any."""
     if "camera" in entry:
         data = dataclasses.replace(data, camera=camera_from_dict(entry["camera"], None))
     if "covariances" not in entry:

@@ -40,18 +40,10 @@ class RepairedTriangles(NamedTuple):
 def repaired_triangles(
     vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "T 3"]
 ) -> RepairedTriangles:
-    """Return triangles with common vertices, each given once, all counter-clockwise from outside.
+    """Return triangles with common vertices (m), each given once, counter-clockwise from outside.
 
     A closed surface inside another one is a cavity: its normals point into it. An open surface
     keeps the side that most of its triangles have.
-
-    Args:
-        vertices: m.
-        triangles: in any order of their corners.
-
-    Raises:
-        ValueError: there are no triangles with an area, a coordinate is not finite, or a triangle
-            has a vertex that does not exist.
     """
     if not len(triangles):
         raise ValueError("the mesh has no triangles")
@@ -95,12 +87,9 @@ def repaired_triangles(
 def _welded(
     vertices: Float[np.ndarray, "V 3"], extent: float, largest: float
 ) -> Int[np.ndarray, "V"]:
-    """Return for each vertex the first one in its place.
+    """Return for each vertex the first one in its place, with the precision of the coordinates.
 
-    Args:
-        vertices: m.
-        extent: of the mesh, m.
-        largest: largest coordinate, m. Far from the origin single precision keeps fewer digits.
+    The farther the mesh is from the origin, the fewer digits single precision keeps.
     """
     from scipy.spatial import KDTree
 

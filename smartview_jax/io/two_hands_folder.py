@@ -11,15 +11,9 @@ from .poses import RobotReadings
 
 
 def with_other_hand(data: Dataset, other: RobotReadings, table: Path) -> Dataset:
-    """Return the data set of a camera on a hand with the poses of the arm that carries the target.
+    """Return the data of a camera on a hand, with the poses of the arm that carries the target.
 
-    Args:
-        data: as of a camera on a hand that sees a target on the table.
-        other: what the arm that carries the target reported, in these views and perhaps in others.
-        table: path of its table, for error messages.
-
-    Raises:
-        ValueError: a wrong value, or a view without a pose; the message names the table.
+    The other arm may have reported its pose in further views, too.
     """
     place = {view: k for k, view in enumerate(other.view_ids)}
     if missing := [view for view in data.view_ids if view not in place]:

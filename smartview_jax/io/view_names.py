@@ -37,10 +37,7 @@ def with_names_of(
 ) -> tuple[list[dict[str, str]], tuple[str, ...]]:
     """Return a table's rows with view names as in another table, and a note if any was changed.
 
-    Args:
-        table: a table with a column of views.
-        view_ids: names in the other table. Unknown names are changed if each differs from one of
-            these only by a picture suffix or leading zeros.
+    Names are changed if each differs from one there only by a picture suffix or leading zeros.
     """
     table_views = {row[VIEW_COLUMN] for row in table.rows}
     stems = {_common_name(view): view for view in view_ids}

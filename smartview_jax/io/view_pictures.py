@@ -19,7 +19,6 @@ class ViewPictures(NamedTuple):
     """Pictures with the robot's poses.
 
     Attributes:
-        view_ids: names of the views.
         pictures: a file for each view.
         command: reported pose of each view, with joint readings if the folder has them.
         notes: sentences on what was recognised in the tables.

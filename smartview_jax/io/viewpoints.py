@@ -313,11 +313,7 @@ def _decode_viewpoints(
 
 
 def hand_columns(hand: HandSteps | None, count: int) -> list[tuple[str, float] | tuple[()]]:
-    """Return the columns `motion` and `opening_m` of each pose; no columns without a hand.
-
-    Raises:
-        ValueError: a wrong number of steps, or an opening that is negative or not finite.
-    """
+    """Return the columns `motion` and `opening_m` of each pose; no columns without a hand."""
     if hand is None:
         return [()] * count
     _check_hand(hand, count)
@@ -325,11 +321,7 @@ def hand_columns(hand: HandSteps | None, count: int) -> list[tuple[str, float] |
 
 
 def val_hand(hand: HandSteps, count: int) -> list[list[str]]:
-    """Return the lines of VAL before the motion to each pose.
-
-    Raises:
-        ValueError: as in `hand_columns`.
-    """
+    """Return the lines of VAL before the motion to each pose."""
     _check_hand(hand, count)
     lines = []
     openings, motions = (np.nan, *hand.opening), (True, *hand.straight)

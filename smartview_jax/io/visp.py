@@ -33,7 +33,6 @@ def import_visp(
 
     Args:
         folder: folder with a pose file (base_from_tool, m and rad) and a picture for each view.
-        target: the calibration target in the pictures.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         poses, pictures: patterns of the file names; `{view}` is the number that pairs them.
         options: `bad_views`, `progress` and `detection_limits`, as in `load_dataset`.

@@ -88,7 +88,6 @@ class CalibrationUncertainty(NamedTuple):
         """Return the description for views that were not used to estimate the calibration.
 
         Args:
-            views: the views.
             calibration: their calibration, or their cameras.
             covariance: a joint fit or a bound with the calibration's covariance; None for an exact
                 calibration, and for cameras, which have their own.
@@ -317,11 +316,7 @@ def camera_parameter_count(views: SeenViews) -> int:
 def _noise_covariances(
     noise: Noise, base_from_tool: Float[np.ndarray, "poses 4 4"]
 ) -> Float[np.ndarray, "poses 6 6"]:
-    """Return the covariance of the twist of each reported pose.
-
-    Raises:
-        ValueError: it is infinite.
-    """
+    """Return the covariance of the twist of each reported pose."""
     if not np.isfinite([noise.translation, noise.rotation]).all():
         raise ValueError("covariance: infinite robot noise, so the views' poses are unknown")
     return noise.pose_covariances(base_from_tool[:, :3, :3].swapaxes(1, 2))

@@ -118,7 +118,6 @@ class _Deletion(NamedTuple):
     """The statistics for leaving out one view of a feature; NaN where nothing is compared.
 
     Attributes:
-        view: index of the view.
         chi_square: reduction of the feature's chi-square without the view.
         degrees_of_freedom: degrees of freedom of the reduction.
         rest: remaining chi-square without the view.
@@ -220,9 +219,7 @@ def least_chi_square_matrix(
 ) -> Float[np.ndarray, "rows rows"]:
     """Return the matrix Q of the least chi-square over all unknowns, `r^T Q r`.
 
-    Args:
-        R: covariance of the residuals r.
-        J: derivatives of the residuals by the unknowns.
+    R is the covariance of the residuals r, and J their derivatives by the unknowns.
     """
     # Q = R^-1 - R^-1 J (J^T R^-1 J)^-1 J^T R^-1
     inverse = np.linalg.inv(R)
@@ -233,14 +230,9 @@ def least_chi_square_matrix(
 def deletion_of(
     Q: Float[np.ndarray, "rows rows"], r: Float[np.ndarray, "rows"], click: int
 ) -> ClickDeletion:
-    """Return the effect of leaving out one click, to first order.
+    """Return the effect of leaving out one click, two rows of the residuals r, to first order.
 
     Reference: Cook and Weisberg, Residuals and influence in regression, 1982, section 2.2.
-
-    Args:
-        Q: from `least_chi_square_matrix`.
-        r: residuals; each click has two rows.
-        click: number of the click.
     """
     # Without the rows i of a click r^T Q r is less by (Q r)_i^T Q_ii^-1 (Q r)_i.
     rows = slice(2 * click, 2 * click + 2)

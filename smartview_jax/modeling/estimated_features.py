@@ -89,11 +89,7 @@ class EstimatedFeatures(abc.ABC):
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class EstimatedPoints(EstimatedFeatures):
-    """Points that were estimated from pictures.
-
-    Attributes:
-        points: in the world, m.
-    """
+    """Points (m) in the world that were estimated from pictures."""
 
     points: Float[np.ndarray, "points 3"]
 

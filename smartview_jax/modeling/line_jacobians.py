@@ -96,8 +96,6 @@ def line_jacobians(
     """Return the distances of segments from lines and their derivatives.
 
     Args:
-        views: camera and poses.
-        lines: the lines.
         segments: both ends of each line's segment in each view, px.
         covariances: covariance of each end, px^2.
         visible: where a line has a segment.
@@ -146,7 +144,6 @@ def _jacobians(
     Float[Array, "views lines 2 4"],
     Float[Array, "views lines 2 local"],
 ]:
-    """Return the arrays of `LineJacobians`."""
     count = ravelled_cameras(camera)[0].size
 
     def of_end(

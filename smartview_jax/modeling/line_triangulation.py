@@ -122,11 +122,7 @@ def triangulate_lines(
 def end_covariances(
     pixel_sigma: float | np.ndarray, shape: tuple[int, int]
 ) -> Float[np.ndarray, "views lines 2 2 2"]:
-    """Return the covariances of segments' ends, from any form of `pixel_sigma`.
-
-    Raises:
-        ValueError: a wrong shape, or standard deviations that are not positive.
-    """
+    """Return the covariances of segments' ends, from any form of `pixel_sigma`."""
     sigma = checked_sigma(pixel_sigma, shape, (2, 2, 2))
     if sigma.ndim == 5:
         return sigma
@@ -216,7 +212,6 @@ def _refine(
     covariances: Float[np.ndarray, "views lines 2 2 2"],
     seen: Bool[np.ndarray, "views lines"],
 ) -> _Estimate:
-    """Minimise the whitened distances."""
     # All lines step together, each with its own damping; for so few of them a loop within a
     # compiled program does not pay.
     lines, enough = start.lines, seen.sum(axis=0) >= 2

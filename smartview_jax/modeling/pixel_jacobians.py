@@ -18,7 +18,6 @@ class PixelJacobians(NamedTuple):
     """The pixels of points in all views, with their derivatives; zero where there is no pixel.
 
     Attributes:
-        pixels: predicted pixels.
         valid: whether a point can be projected.
         by_point: derivatives by the point in the world, px/m.
         by_view: derivatives by the parameters of the camera, or of all cameras, then by the twist

@@ -65,10 +65,8 @@ def estimate_points(
 
     Args:
         camera: intrinsics and lens, of all views or of each.
-        camera_from_world: extrinsics.
         pixels: px; any finite number where not visible.
         whitening: matrices that scale pixel errors to unit covariance.
-        visible: where a point is visible.
         loss: robust loss of the whitened residuals; None is least squares.
     """
     problem = PointProblem(camera, camera_from_world, pixels, whitening, visible, loss)
@@ -102,7 +100,6 @@ def estimate_points(
 
 @jax.custom_jvp
 def _estimate(problem: PointProblem) -> PointSolution:
-    """Estimate all points of a problem at once."""
     start, degenerate, enough = nearest_to_rays(problem)
     points, at, decrement = _minimise(problem, start, degenerate | ~enough)
     return _solution(problem, points, at, (decrement, degenerate, enough))
@@ -157,9 +154,7 @@ def _minimise(
 ) -> tuple[Float[Array, "points 3"], Linearisation, Float[Array, "points"]]:
     """Minimise the costs of all points together, each with its own damping.
 
-    Returns:
-        The points, their linearisation, and the squared length of the next undamped step in
-        standard deviations.
+    With points and linearisation comes the squared next undamped step, in standard deviations.
     """
     # Each trial is linearised immediately: nearly all are accepted, so one pass over the pixels
     # gives both cost and derivatives.

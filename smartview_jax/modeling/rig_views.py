@@ -28,7 +28,6 @@ class CameraChain(NamedTuple):
     """The views of one camera, and its chain of transforms to the frame of the results.
 
     Attributes:
-        camera: name of the camera.
         calibration: its calibration, whose world is that frame.
         views: indices of its views.
         is_fixed: whether the robot's pose does not matter: a camera next to the arm, base frame.

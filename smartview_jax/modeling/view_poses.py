@@ -59,15 +59,7 @@ def as_checked_command(poses: CommandLike, names: Sequence[str] | None = None) -
 
 
 def as_rigid_command(poses: CommandLike, names: Sequence[str] | None = None) -> Command:
-    """Return poses of views, out of reach or not, as a command of host arrays.
-
-    Args:
-        poses, names: as in `as_checked_command`.
-
-    Raises:
-        ValueError: a pose that is not rigid, with the view; poses without one batch axis, or not
-            one for each view; or joint readings for another number of views.
-    """
+    """Return poses of views, out of reach or not, as a command of host arrays."""
     reported, joints = poses, None
     if isinstance(poses, Command):
         reported, joints = poses.base_from_tool, poses.joints
@@ -98,12 +90,7 @@ def command_at(command: Command, views: int | Sequence[int] | np.ndarray) -> Com
 
 
 def chain_command(chain: CameraChain, command: Command) -> Command:
-    """Return the reported poses of a camera's views, padded; the identity if they do not matter.
-
-    Args:
-        chain: of the camera.
-        command: reported poses of all views.
-    """
+    """Return the reported poses of a camera's views, padded; the identity if they do not matter."""
     if chain.is_fixed:
         return padded_views(Command(host_transforms(np.tile(np.eye(4), (len(chain.views), 1, 1)))))
     return padded_views(command_at(command, chain.views))
@@ -263,10 +250,6 @@ class SeenViews(NamedTuple):
         Args:
             pixels: `(views, points, 2)`, or `(views, segments, 2, 2)` for the ends of segments.
             visible: where they are visible; by default wherever the pixels are finite.
-
-        Raises:
-            ValueError: wrong numbers of views or features, or a visible pixel that is not finite or
-                is outside the picture, with the view and the feature.
         """
         image_sizes = self.image_sizes
         if len(pixels) != len(image_sizes):
@@ -301,13 +284,7 @@ def checked_sigma(
 ) -> np.ndarray:
     """Return `pixel_sigma` as an array: one number, one of each observation, or its covariance.
 
-    Args:
-        pixel_sigma: as in `triangulate_points` and `triangulate_lines`.
-        shape: numbers of views and features.
-        covariance: the further axes where covariances are given.
-
-    Raises:
-        ValueError: another shape, or standard deviations that are not positive.
+    The shape is of views and features; given covariances have further axes.
     """
     sigma = np.asarray(pixel_sigma, dtype=float)
     if sigma.shape not in ((), shape, (*shape, *covariance)):
@@ -330,9 +307,6 @@ def whitening_of(
             features)`; or covariances `(views, features, 2, 2)`, px^2.
         shape: numbers of views and features; the result is broadcast to it only if `pixel_sigma`
             differs between observations.
-
-    Raises:
-        ValueError: a wrong shape, or values that are not positive.
     """
     sigma = checked_sigma(pixel_sigma, shape, (2, 2))
     # Equal and independent errors of u and v are a multiple of the identity.
@@ -366,8 +340,6 @@ def _project(
     camera_from_world: Float[Array, "views 4 4"],
     points: Float[Array, "points 3"],
 ) -> Float[Array, "views points 2"]:
-    """Return the pixels of points in all views."""
-
     def project_in_view(
         view_camera: AnyCamera, matrix: Float[Array, "4 4"]
     ) -> Float[Array, "points 2"]:

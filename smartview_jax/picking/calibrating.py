@@ -77,7 +77,6 @@ def calibrate_cell(
         drawing: approximate poses of camera and board, used to plan the views.
         arm: the nominal arm, whose errors are estimated too; None if its joints are unknown.
         views: number of views, their distances and tilts.
-        progress: called with a line of text for each step.
 
     Raises:
         ValueError: the distances are not positive or out of order, the tilt is not below a right

@@ -33,7 +33,6 @@ class SeenObject(NamedTuple):
         pixels: where each vertex is, px.
         visible: whether it is seen there.
         faces: loops of vertices; a face is added if all its vertices can be clicked.
-        name: of the object.
     """
 
     pixels: Float[np.ndarray, "views vertices 2"]
@@ -56,7 +55,6 @@ def model_by_clicks(
         calibration: of the pictures.
         estimate: fit with the calibration's covariance, for the covariance of the vertices.
         command: reported poses of the robot, one for each view.
-        pictures: of the object.
         seen: what a person sees in the pictures.
         path: of the model's file, which includes the symmetry.
 

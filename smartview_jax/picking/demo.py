@@ -57,10 +57,8 @@ class DemoResult(NamedTuple):
     """The outcome of the demo, compared with the true state of the simulation.
 
     Attributes:
-        page: the HTML page.
         held: whether the chosen object is in the hand, by the physics.
         pick: the attempt.
-        calibration: of the cell.
         model: the clicked model of one of the objects.
         position_error: distance of the localised object from the true one, m; NaN without one.
     """
@@ -82,9 +80,7 @@ def run_demo(
     one with the safest grasp is picked.
 
     Args:
-        out: folder of the page and the model.
         seed: random seed of the cell and of the objects' fall.
-        views: number of views of the board.
         progress: called with a line of text for each step.
 
     Raises:
@@ -164,17 +160,7 @@ def _grasp_scene(cell: SimulatedCell, calibrated: CellCalibration) -> GraspScene
 def modelled(
     cell: SimulatedCell, calibrated: CellCalibration, block: CellObject, path: Path
 ) -> tuple[ObjectModel, list[np.ndarray], Command]:
-    """Return the model of an object that stands alone, with its pictures.
-
-    Args:
-        cell: in which the object replaces everything else.
-        calibrated: its calibration.
-        block: the object.
-        path: of the model's file, in a folder without an earlier session.
-
-    Returns:
-        The model, the pictures, and the reported poses of the robot.
-    """
+    """Return the model of an object alone in the cell, its pictures and the reported poses."""
     # At the place of the board, where the calibration is best.
     cell.place([block], [host_poses(np.eye(3), cell.centre)])
     calibration = calibrated.fit.calibration
@@ -240,13 +226,8 @@ def position_error(
 ) -> float:
     """Return the distance of the localised object's middle from the true one, m.
 
-    The clicked model's frame is the world's frame at the time of modelling, when the object stood
-    at a known place.
-
-    Args:
-        target: the localised object.
-        truth: the object's true pose.
-        origin: where it stood while it was modelled, m.
+    The clicked model's frame is the world's at the time of modelling, when the object stood at the
+    known place `origin`.
     """
     middle = target.model.vertices.mean(axis=0)
     estimated = host_transformed(target.world_from_object, middle)

@@ -127,9 +127,7 @@ def look_for(
     that is expected to bring less than it costs is not taken.
 
     Args:
-        cell: the cell.
         scene: the calibrated robot, and the obstacles that may hide objects.
-        models: of the objects that may be there.
         region: where they may be.
         options: how many views are taken, and from where.
         noise: of the robot in these views; by default the noise of the scene's estimate.
@@ -221,7 +219,6 @@ def _first_views(
     first: FirstViews,
     say: Callable[[str], None],
 ) -> list[_View]:
-    """Return the initial views."""
     # Aimed above the floor, where objects are.
     middle = region.centre + np.array([0.0, 0.0, 0.25 * region.size[2]])
     views, reasons = [], []
@@ -306,11 +303,7 @@ def _view_command(view: NextView) -> Command:
 
 
 def _command(cell: Cell, scene: GraspScene, view: SE3) -> Command:
-    """Return the command for one view, given as a batch of one.
-
-    Raises:
-        CellError: the arm does not reach it.
-    """
+    """Return the command for one view, a batch of one; a CellError if the arm does not reach it."""
     near = _start_joints(cell, scene.arm)
     arm = None if near is None else scene.arm
     commands = viewpoint_commands(scene.calibration, view, arm=arm, near=near)

@@ -60,7 +60,6 @@ def pick(
 
     Args:
         cell: with an empty gripper.
-        models: of the objects that may be there.
         gripper: on the hand.
         region: where objects are searched.
         scene: the calibrated robot, which also takes the views, and the obstacles.

@@ -49,14 +49,7 @@ def localised_section(
     region: Region,
     strip: list[tuple[str, np.ndarray]],
 ) -> Section:
-    """Return the part of the page with Fig. 8 (a) to (f) of this run.
-
-    Args:
-        look: pictures and found objects.
-        calibrated: the calibration.
-        region: the part of the pictures to show.
-        strip: pictures of the bystander by phase; the last one is Fig. 8 (f).
-    """
+    """Return the part of the page with Fig. 8 (a) to (f); the last picture of the strip is (f)."""
     calibration = calibrated.fit.calibration
     camera, views = (
         calibration.camera,
@@ -104,7 +97,6 @@ def grasp_section(attempt: Pick, strip: list[tuple[str, np.ndarray]]) -> Section
 
 
 def _phase_name(phase: str) -> str:
-    """Return the printed name of a phase."""
     return phase.replace("_", "-")
 
 

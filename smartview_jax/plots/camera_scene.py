@@ -17,7 +17,6 @@ class CameraScene(NamedTuple):
     """Cameras as pyramids and the target's points, in the target's frame, m.
 
     Attributes:
-        view_ids: names of the views.
         centres: centre of each camera.
         corners: corners of each picture, projected into space, in order around it.
         used: whether a view has any point that was not rejected.
@@ -39,11 +38,7 @@ class CameraScene(NamedTuple):
 
 
 def camera_scene(data: Dataset, calibration: Calibration) -> CameraScene:
-    """Return the poses of a data set's cameras according to a calibration.
-
-    Raises:
-        ValueError: no view shows any point.
-    """
+    """Return the poses of the cameras by a calibration; a ValueError if no view shows a point."""
     visible = np.asarray(data.visible)
     if not visible.any():
         raise ValueError("data: no view shows any point, so there is nothing to draw")

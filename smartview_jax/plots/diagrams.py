@@ -19,11 +19,6 @@ def frames_diagram(data: Dataset, calibration: Calibration, view: int = 0) -> Pl
 
     The links between them are the transforms of the chain: grey if the robot reports them, blue if
     they are calibrated.
-
-    Args:
-        data: the views.
-        calibration: the calibration.
-        view: index of the view.
     """
     eye_in_hand = mount_frames(calibration.mount)[0] == "tool"
     base = mount_frames(calibration.mount)[1] if eye_in_hand else "base"
@@ -80,7 +75,8 @@ def steps_diagram() -> PlotFigure:
     for k, (title, explanation, colour) in enumerate(_STEPS):
         _box(axes, -float(k), title, explanation, colour)
         if k + 1 < len(_STEPS):
-            _arrow(axes, (0.5, -k - 0.36), (0.5, -k - 0.64))
+            arrow = {"arrowstyle": "->", "color": GREY}
+            axes.annotate("", (0.5, -k - 0.64), (0.5, -k - 0.36), arrowprops=arrow)
     return figure
 
 
@@ -90,8 +86,3 @@ def _box(axes: Axes, height: float, title: str, explanation: str, colour: str) -
     axes.text(
         0.5, height, f"{title}\n{explanation}", ha="center", va="center", fontsize=10, bbox=box
     )
-
-
-def _arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
-    """Draw an arrow from one step to the next."""
-    axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": GREY})

@@ -89,7 +89,6 @@ def residual_vectors(data: Dataset, residuals: np.ndarray) -> PlotFigure:
     """Draw the residuals over the image as arrows, magnified so that they are visible.
 
     Args:
-        data: the data set.
         residuals: measured minus predicted pixels, `(views, points, 2)`, as in
             `JointFit.residuals`; values that are not finite are left out.
 
@@ -132,7 +131,6 @@ def view_influence(influence: Influence, view_ids: Sequence[str], path: str) -> 
 
     Args:
         influence: result of `sv.view_influence`.
-        view_ids: names of the views.
         path: of the parameters, such as `camera_from_tool`.
     """
     figure, axes = single_plot(9.6, 2.8)

@@ -37,11 +37,7 @@ class InteractiveScene:
         self.layout: dict[str, Any] = layout
 
     def html(self, element_id: str = "scene") -> str:
-        """Return a part of a page with the scene and the program that draws it.
-
-        Args:
-            element_id: id of the element in the page; each scene of a page has its own.
-        """
+        """Return the scene as part of a page, with its program and its own element id."""
         script = files("smartview_jax.plots").joinpath(_SCRIPT).read_text(encoding="utf-8")
         # In a name, `</script>` would end the script and `<!--<script>` would swallow the rest of
         # the page; JSON reads the escaped form as the same text.
@@ -66,13 +62,7 @@ def interactive_cameras(
     calibration: Calibration,
     rms_per_view: Sequence[float] | np.ndarray | None = None,
 ) -> InteractiveScene:
-    """Return the cameras and the target in the target's frame, mm, as an interactive scene.
-
-    Args:
-        data: the views.
-        calibration: the calibration that places the cameras.
-        rms_per_view: RMS reprojection error of each view, px, shown where the mouse points.
-    """
+    """Return cameras and target in the target's frame, mm, with each view's RMS, px, as a scene."""
     scene = camera_scene(data, calibration)
     texts = list(scene.view_ids)
     if rms_per_view is not None:

@@ -65,8 +65,6 @@ def with_wireframes(
 
     Args:
         picture: grey; None draws on a dark background.
-        camera: the camera that took it.
-        camera_from_world: its pose.
         objects: models and their poses `world_from_object`.
     """
     from ..localization import Wireframe

@@ -23,9 +23,6 @@ def camera_mounts(fit: RigFit) -> PlotFigure:
 
     Each camera is a pyramid that opens along its optical axis; the legend has the standard
     deviation of its position. The axes of frames are red (x), green (y) and blue (z).
-
-    Args:
-        fit: joint fit of a rig.
     """
     frame_of = {name: _mount_frame(fit, name) for name in fit.calibrations}
     mounts = list(dict.fromkeys(frame_of.values()))

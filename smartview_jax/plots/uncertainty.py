@@ -11,11 +11,7 @@ from .figures import BLUE, RED, PlotFigure, picture_axes, single_plot
 
 
 def picture_uncertainty(uncertainty: PictureUncertainty) -> PlotFigure:
-    """Draw the standard deviation of predicted pixels over the picture of a view, px.
-
-    Args:
-        uncertainty: result of `evaluation.picture_uncertainty`.
-    """
+    """Draw `evaluation.picture_uncertainty`: the standard deviation of predicted pixels, px."""
     figure, axes = single_plot(4.7, 3.3)
     # The points are not a grid, because distortion has moved them.
     u, v = uncertainty.pixels.T
@@ -27,11 +23,7 @@ def picture_uncertainty(uncertainty: PictureUncertainty) -> PlotFigure:
 
 
 def workspace_uncertainty(uncertainty: WorkspaceUncertainty) -> PlotFigure:
-    """Draw the standard deviation of a camera's aim over the workspace, mm.
-
-    Args:
-        uncertainty: result of `evaluation.workspace_uncertainty`.
-    """
+    """Draw `evaluation.workspace_uncertainty`: the standard deviation of a camera's aim, mm."""
     figure, axes = single_plot(4.7, 3.3)
     x, y = 1e3 * uncertainty.points[..., 0], 1e3 * uncertainty.points[..., 1]
     contours = axes.contourf(x, y, 1e3 * uncertainty.std, levels=12)
@@ -47,7 +39,6 @@ def parameter_intervals(
     """Draw estimates of parameters with their 95 % intervals, and the true values if known.
 
     Args:
-        fit: a joint fit.
         prefixes: how the names of the parameters in each plot begin, such as
             `camera_from_tool.translation`.
         truth: the true calibration of a simulation, with the same parameters.

@@ -23,12 +23,7 @@ def prediction_overlay(
 ) -> PlotFigure:
     """Draw predicted centres as crosses over a real picture, as in Fig. 1 of the paper.
 
-    Args:
-        data: data set with the detected points.
-        view: index of the view.
-        picture: grey picture, `(h, w)`; for a `StackedTarget`, at the first height with a detected
-            point, as in `data.pictures`.
-        calibration: calibration that predicts the points.
+    The picture is grey; of a `StackedTarget` it is `data.pictures`, at one height.
     """
     point_slice = _points_in_picture(data, view)
     figure, axes = single_plot(4.7, 4.0)

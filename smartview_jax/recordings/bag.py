@@ -25,7 +25,6 @@ class Message(NamedTuple):
     """A message of a bag.
 
     Attributes:
-        topic: name of its topic.
         received: when it was recorded, ns since 1970.
         content: the message, whose attributes are named as in ROS 2.
     """
@@ -39,7 +38,6 @@ class Bag:
     """An open bag; `open_bag` opens and closes it.
 
     Attributes:
-        path: of the bag.
         kinds: type of the messages of each topic, such as `sensor_msgs/msg/Image`.
         counts: number of messages of each topic.
     """

@@ -163,12 +163,7 @@ class BagContent(NamedTuple):
 def read_content(
     bag: Bag, sources: BagSources, progress: Callable[[str], None] | None = None
 ) -> BagContent:
-    """Read everything but the pictures.
-
-    Raises:
-        ValueError: a topic or frame is missing, or a message is wrong; the message names the bag,
-            and lists the topics, frames or names that there are.
-    """
+    """Read everything but the pictures."""
     reader = _ContentReader(bag, sources)
     topics = reader.topics()
     for message in bag.messages(topics, "reading", progress):
@@ -319,7 +314,6 @@ class _ContentReader:
             raise ValueError(f"tag_id: expected the id of one of several tags; there are {ids}")
 
     def _add_transforms(self, message: Message) -> None:
-        """Keep the transforms of tf."""
         static = message.topic.rstrip("/").endswith(_STATIC_TOPIC)
         transforms = message.content.transforms
         if not static and len(transforms):

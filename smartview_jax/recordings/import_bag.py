@@ -70,7 +70,6 @@ def import_bag(
     Args:
         bag: a `.bag` file of ROS 1, a folder or `.db3` file of ROS 2, or an `.mcap` file.
         folder: the new folder, which must not exist yet or be empty.
-        sources: topics and frames.
         target: the target in the pictures; or its kind, such as `"charuco"`, whose lengths are
             then to be filled in; or a file, as in `target_text`. Not with poses of a tag.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
@@ -343,11 +342,7 @@ def camera_text(
 
     Without a camera there is the reason in the place of the kind.
 
-    Args:
-        message: a `sensor_msgs/CameraInfo`.
-        image_size: width and height of the pictures, px.
-        rectified: whether the pictures are rectified: their camera has no distortion, and its
-            numbers are in the projection matrix P.
+    Rectified pictures have no distortion, and their numbers are in the projection matrix P.
     """
     K = np.asarray(message.k if hasattr(message, "k") else message.K, dtype=float).reshape(3, 3)
     P = np.asarray(message.p if hasattr(message, "p") else message.P, dtype=float).reshape(3, 4)

@@ -125,7 +125,6 @@ def import_lerobot(
     Args:
         dataset: folder with `meta/info.json`, of version 2.0, 2.1 or 3.0.
         folder: the new folder, which must not exist yet or be empty.
-        sources: features, and the robot's state.
         target: the target in the pictures, or its kind, or a file, as for `import_bag`.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         choice: which pictures become views; by default `MomentChoice()`, one of every stop.
@@ -162,7 +161,6 @@ def _write(
     target: TargetText,
     progress: Callable[[str], None] | None,
 ) -> ImportedFolder:
-    """Write everything to a folder."""
     report = progress or (lambda _: None)
     image = recording.image_feature(sources.image)
     numbers = _columns_of_state(recording, sources)
@@ -287,13 +285,6 @@ def refuse_percentages(where: str, readings: Float[np.ndarray, "frames joints"])
 
     Reference: MotorsBus._normalize in https://github.com/huggingface/lerobot
     (motors/motors_bus.py).
-
-    Args:
-        where: the file and the feature, for the message.
-        readings: of the joints that turn, as recorded.
-
-    Raises:
-        ValueError: two or more joints have the steps of percentages.
     """
     counts = [_steps_of_range(column) for column in readings.T]
     if len({count for count in counts if count}) < 2:

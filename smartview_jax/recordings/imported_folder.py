@@ -33,8 +33,6 @@ class ImportedFolder(NamedTuple):
     """The result of an import.
 
     Attributes:
-        folder: the data-set folder.
-        view_ids: names of the views.
         left_out: number of pictures that are no views, by reason.
         notes: sentences on what was used and found.
         camera_file: the file of the known camera, or the folder with those of several; None if
@@ -84,15 +82,9 @@ def write_description(folder: Path, entries: Mapping[str, Any], target: TargetTe
 
 
 def target_text(target: AbstractTarget | str | Path) -> TargetText:
-    """Return the entry for a target.
+    """Return the entry for a target, for a kind such as `"charuco"`, or for the target in a file.
 
-    Args:
-        target: a target; or the name of a kind, such as `"charuco"`; or a file: a `dataset.yaml`
-            (or only its entry `target`), or the `target.yaml` of Kalibr.
-
-    Raises:
-        FileNotFoundError: neither a kind nor a file.
-        ValueError: the file has no target, or a wrong one.
+    Files are a `dataset.yaml`, or only its entry `target`, and the `target.yaml` of Kalibr.
     """
     if isinstance(target, AbstractTarget):
         return _text_of(target)

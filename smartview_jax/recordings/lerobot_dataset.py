@@ -54,12 +54,7 @@ class Frames(NamedTuple):
 
 
 class LeRobotDataset:
-    """A folder of LeRobot.
-
-    Attributes:
-        path: of the folder.
-        features: description of each feature by its name.
-    """
+    """A folder of LeRobot, with the description of each feature by its name."""
 
     def __init__(self, path: Path):
         """Read the description.
@@ -89,11 +84,7 @@ class LeRobotDataset:
         self._in_shared_files = version == "v3.0"
 
     def image_feature(self, name: str | None) -> str:
-        """Return the feature of the pictures: the named one, or the only one.
-
-        Raises:
-            ValueError: there is no such feature of pictures, or there are several.
-        """
+        """Return the feature of the pictures: the named one, or the only one."""
         known = [key for key, f in self.features.items() if f.get("dtype") in ("video", "image")]
         if name in known:
             return str(name)
@@ -105,11 +96,7 @@ class LeRobotDataset:
         )
 
     def names(self, feature: str) -> tuple[str, ...]:
-        """Return the names of a feature's numbers; empty where the description has none.
-
-        Raises:
-            ValueError: there is no such feature of numbers.
-        """
+        """Return the names of a feature's numbers; empty where the description has none."""
         described = self.features.get(feature, {})
         if not str(described.get("dtype", "")).startswith(("float", "int")):
             numeric = [k for k, f in self.features.items() if str(f.get("dtype"))[:3] == "flo"]
@@ -127,12 +114,7 @@ class LeRobotDataset:
         return tuple(map(str, names))
 
     def frames(self, feature: str, episodes: Sequence[int] = ()) -> Frames:
-        """Return the frames of some episodes, or of all, with the numbers of a feature.
-
-        Raises:
-            ValueError: a file is not readable or lacks a column, or an episode is missing.
-            MissingExtraError: `pyarrow` is not installed.
-        """
+        """Return the frames of some episodes, or of all, with the numbers of a feature."""
         columns = ["episode_index", "frame_index", "timestamp", feature]
         tables = [self._columns(file, columns) for file in self._files("data", "frames")]
         table = {key: np.concatenate([t[key] for t in tables]) for key in columns}
@@ -169,11 +151,6 @@ class LeRobotDataset:
         """Yield the pictures of some frames: their place in `frames`, and the picture.
 
         Pictures of a video are arrays (BGR); others are the bytes of their files.
-
-        Raises:
-            ValueError: a video is not readable, or ends before a frame.
-            FileNotFoundError: a video is missing.
-            MissingExtraError: `av`, or `pyarrow`, is not installed.
         """
         report = progress or (lambda _: None)
         if self.features[feature].get("dtype") == "image":
@@ -240,7 +217,6 @@ class LeRobotDataset:
                 yield places[episode, number], content
 
     def _files(self, folder: str, meaning: str) -> list[Path]:
-        """Return the tables in a folder, in order."""
         files = sorted((self.path / folder).rglob("*.parquet"))
         if not files:
             raise FileNotFoundError(f"{self.path / folder}: no tables (.parquet) of the {meaning}")

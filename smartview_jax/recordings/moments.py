@@ -89,10 +89,6 @@ def choose_moments(
         known: whether the robot's pose is known at each.
         stamps: times of the robot's log, ns, increasing.
         poses: `base_from_tool` at these times.
-        choice: the rules.
-
-    Raises:
-        ValueError: nothing is left; the message says why.
     """
     outside = {"before or after the robot's poses": int((~known).sum())}
     if choice.every is not None:

@@ -101,11 +101,7 @@ def png_of(pixels: np.ndarray) -> PictureFile:
 
 
 def checked_file(content: bytes) -> PictureFile:
-    """Return the content of a picture file as it is.
-
-    Raises:
-        ValueError: it is neither PNG nor JPEG, or damaged.
-    """
+    """Return the content of a picture file as it is."""
     suffix = next((s for begin, s in _SIGNATURES.items() if content.startswith(begin)), None)
     if suffix is None:
         raise ValueError(

@@ -38,12 +38,7 @@ class JointLog(NamedTuple):
 
 
 class RobotLog(NamedTuple):
-    """The robot's motion: poses, joint readings, or both.
-
-    Attributes:
-        chain: transforms from base to tool; None if the arm's kinematics gives the poses.
-        joints: joint readings; None if there are none.
-    """
+    """The robot's motion by a chain from base to tool, by an arm's joint readings, or by both."""
 
     chain: Chain | None
     joints: JointLog | None
@@ -83,12 +78,7 @@ class JointRecord:
         self._seen: dict[str, None] = {}
 
     def add(self, message: Any, stamp: int | None = None) -> None:
-        """Add a message that has all joints; others, as of a gripper, are passed over.
-
-        Args:
-            message: a `sensor_msgs/JointState`.
-            stamp: its time, ns; by default from its header.
-        """
+        """Add a message that has all joints, with its stamp in ns; others are passed over."""
         names = list(message.name)
         self._seen |= dict.fromkeys(names)
         if len(message.position) != len(names) or not set(self._names) <= set(names):
@@ -97,11 +87,7 @@ class JointRecord:
         self._readings.extend(float(message.position[names.index(name)]) for name in self._names)
 
     def finished(self) -> JointLog:
-        """Return the readings in the order of time.
-
-        Raises:
-            ValueError: no message has all joints; the message lists the joints there are.
-        """
+        """Return the readings in the order of time."""
         if not self._stamps:
             raise ValueError(
                 f"no message has positions of the joints {', '.join(self._names)}; there are "

@@ -21,11 +21,7 @@ _LISTS = {"detections": "id", "markers": "id", "transforms": "fiducial_id"}
 
 
 def tag_poses(message: Any) -> Iterator[tuple[int | None, tuple[float, ...]]]:
-    """Yield the id of every tag in a message (None without an id), and its pose as seven numbers.
-
-    Raises:
-        ValueError: the message has no poses.
-    """
+    """Yield the id (None without one) and the pose (seven numbers) of every tag in a message."""
     if hasattr(message, "marker_ids") and hasattr(message, "poses"):
         for number, pose in zip(message.marker_ids, message.poses, strict=True):
             yield int(number), pose_numbers(pose)
@@ -39,11 +35,7 @@ def tag_poses(message: Any) -> Iterator[tuple[int | None, tuple[float, ...]]]:
 
 
 def pose_of(message: Any) -> tuple[float, ...]:
-    """Return the pose in a message, or in an entry of a list, as seven numbers.
-
-    Raises:
-        ValueError: it has none.
-    """
+    """Return the pose in a message, or in an entry of a list, as seven numbers."""
     if hasattr(message, "transform"):
         return transform_numbers(message.transform)
     # A pose with a covariance, with a header, or with both is one or two levels further in.

@@ -71,16 +71,7 @@ def write_localization_page(
     pictures: Sequence[UInt8[np.ndarray, "rows columns"]],
     view_ids: Sequence[str],
 ) -> None:
-    """Write the results as a page: the table, the reasons, and wireframes over the pictures.
-
-    Args:
-        path: of the HTML file.
-        title: of the page.
-        calibration: of the camera, or the cameras of the views.
-        localizations: the objects.
-        pictures: of all views.
-        view_ids: their names.
-    """
+    """Write the results as a page: the table, the reasons, and wireframes over the pictures."""
     seen = SeenViews.of(calibration, localizations.command)
     sections = [
         Section(

@@ -46,13 +46,7 @@ def hand_eye_sentence(fit: JointFit) -> str:
 
 
 def next_steps(fit: CalibrationFit, data: Dataset, rows: Sequence[ErrorSummary]) -> list[str]:
-    """Return what limits the result and what would improve it, one sentence each.
-
-    Args:
-        fit: the calibration.
-        data: the views that it was fitted to.
-        rows: errors of the staged and of the joint fit, in this order.
-    """
+    """Return what limits the result and what would improve it, from the rows of both fits."""
     if not fit.joint.result.converged:
         return ["Look at the rejected views below and correct or remove them, then fit again."]
     sentences = [_limit(fit, rows[1]), _more_views(fit.joint, data)]

@@ -90,8 +90,6 @@ def write_page(
 
     Args:
         path: of the HTML file, which is written completely or not at all.
-        fit: result of `calibrate`.
-        data: data set that the fit used.
         judgement: how accurate the result is; None if nothing was computed.
         origin: data set and command of the page; None for a script's own data.
         progress: called with a line of text before the plots are drawn.
@@ -205,11 +203,7 @@ def _uncertainty_figures(fit: CalibrationFit, data: Dataset) -> list[PageFigure]
 def prediction_overlays(
     data: Dataset, summary: tables.ErrorSummary, calibration: Calibration
 ) -> list[tuple[str, str, plots.PlotFigure]]:
-    """Draw the predictions in the views with the median and with the largest error.
-
-    Returns:
-        The view's name, a caption and the figure of each; none without pictures.
-    """
+    """Draw the predictions in two views, of median and of largest error: name, caption, figure."""
     if data.pictures is None:
         return []
     caption = (
@@ -287,8 +281,6 @@ def write_evaluation_page(
     """Write the figures of the paper's evaluation: Fig. 7, and Fig. 1 in two of the pictures.
 
     Args:
-        path: of the HTML file.
-        title: of the page.
         verdict: the result in a sentence.
         calibration: the first calibration, used for predictions in the pictures.
         data: the predicted views.

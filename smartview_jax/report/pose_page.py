@@ -63,8 +63,6 @@ def write_pose_page(
 
     Args:
         path: of the HTML file, which is written completely or not at all.
-        fit: result of `fit_poses`.
-        data: the pairs that it was given.
         held_out: result of `held_out_poses`; None if not computed.
         origin: data set and command of the page; None for a script's own data.
         notes: notes to print; None for the notes of `data`.

@@ -46,13 +46,7 @@ MIN_SHOWN_SHARE = 0.01
 def rig_camera_rows(
     fit: RigFit, rig: Rig, held_out: Mapping[str, HeldOutErrors] | None = None
 ) -> list[tuple[str, ...]]:
-    """Return a row for each camera: its views, errors, place on its mount and intervals.
-
-    Args:
-        fit: the fit.
-        rig: the data that it was given.
-        held_out: result of `held_out` for the rig; None if not computed.
-    """
+    """Return a row for each camera: its views, errors (held out, if any), place and intervals."""
     used, rows = without_rejected_rig_views(rig, fit), []
     for name, calibration in fit.calibrations.items():
         data = used.cameras[name]
@@ -207,8 +201,6 @@ def write_rig_page(
 
     Args:
         path: of the HTML file, which is written completely or not at all.
-        fit: result of `calibrate` for the rig.
-        rig: the data that it was given.
         held_out: result of `held_out` for the rig; None if not computed.
         origin: data set and command of the page; None for a script's own data.
         notes: notes to print; None for the notes of the rig's data sets.

@@ -44,15 +44,7 @@ class StoryFigure(NamedTuple):
 
 
 class Section(NamedTuple):
-    """A part of the page.
-
-    Attributes:
-        title: its heading.
-        text: a paragraph; may be empty.
-        figures: pictures side by side.
-        header: names of the columns of the table; empty for a table without names.
-        rows: of the table.
-    """
+    """A part of the page."""
 
     title: str
     text: str = ""
@@ -77,10 +69,7 @@ def write_story(
     """Write a page that contains its pictures, completely or not at all.
 
     Args:
-        path: of the HTML file.
-        title: of the page.
         verdict: the result in a sentence.
-        sections: in their order.
         hand_eye_forms: the hand-eye transform in the forms of other programs, to copy
             (`joint.hand_eye_forms`).
     """
@@ -105,7 +94,6 @@ class PageFigure(NamedTuple):
 
     Attributes:
         name: printed first.
-        text: caption.
         url: the picture itself, as a data URL.
         style: size in CSS; empty for a picture that fills its column.
         wide: whether it takes the whole width of the page.

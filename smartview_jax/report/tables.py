@@ -30,7 +30,6 @@ class ErrorSummary(NamedTuple):
     """The errors of one fit, which are one column of the table of results.
 
     Attributes:
-        name: name of the method.
         reprojection_errors: reprojection errors on all views that were not rejected.
         held_out_report: held-out errors; None where they were not computed.
     """

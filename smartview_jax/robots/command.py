@@ -32,11 +32,7 @@ class HandPoses(HostModule):
     other_base_from_other_tool: SE3
 
     def other_tool_from_tool(self, base_from_other_base: SE3) -> SE3:
-        """Return the poses of the camera's hand in the frame of the target's hand.
-
-        Args:
-            base_from_other_base: base of the target's arm in the base of the camera's.
-        """
+        """Return the poses of the camera's hand in the frame of the target's hand."""
         return (base_from_other_base @ self.other_base_from_other_tool).inverse() @ (
             self.base_from_tool
         )

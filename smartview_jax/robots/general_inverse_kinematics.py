@@ -42,8 +42,6 @@ def joints_for_pose(arm: SerialArm, base_from_tool: PoseLike, near: JointsLike) 
     solution.
 
     Args:
-        arm: any serial arm.
-        base_from_tool: wanted poses.
         near: joint readings to be close to.
     """
     poses = as_se3(base_from_tool)
@@ -117,7 +115,6 @@ def solve_joints_iteratively(
     limit holds back ends at the limit.
 
     Args:
-        arm: any serial arm.
         base_from_tool: wanted pose, `(*views)`.
         near: joint readings at which the iteration starts.
 

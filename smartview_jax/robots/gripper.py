@@ -135,11 +135,7 @@ class Gripper:
             )
 
     def boxes(self, opening: float) -> tuple[GripperBox, GripperBox, GripperBox]:
-        """Return palm, left and right finger at a distance between the fingers, m.
-
-        Raises:
-            ValueError: the gripper does not open as far, or the opening is negative.
-        """
+        """Return palm, left and right finger at an opening, m; one out of range is a ValueError."""
         if not 0.0 <= opening <= self.max_opening * (1.0 + 1e-9):
             raise ValueError(
                 f"an opening of {1e3 * opening:.4g} mm; the gripper opens to "

@@ -82,16 +82,10 @@ class JointSolution(eqx.Module):
 def wrap_to_limits(
     arm: SerialArm, joints: Float[Array, "*views joints"], near: JointsLike | None = None
 ) -> Float[Array, "*views joints"]:
-    """Return readings shifted by whole revolutions into their limits, close to `near`.
+    """Return readings (rad, m) shifted by whole revolutions into their limits, close to `near`.
 
     Where no revolution is within the limits, the reading closest to their middle is returned.
-    Prismatic joints do not change.
-
-    Args:
-        arm: arm whose limits apply.
-        joints: readings, rad or m.
-        near: readings to be close to; by default the middle of the limits, or zero for a joint
-            without two limits.
+    Prismatic joints do not change. Without `near` the middle of two limits is taken, else zero.
     """
     revolution, shape = 2.0 * jnp.pi, joints.shape
     lower, upper = (jnp.broadcast_to(bound, shape) for bound in arm.limits.T)

@@ -114,11 +114,7 @@ ARMS: dict[str, Callable[[], SerialArm]] = {
 
 
 def arm_by_name(name: str) -> SerialArm:
-    """Return a nominal arm by its name.
-
-    Raises:
-        ValueError: no arm has that name.
-    """
+    """Return a nominal arm by its name; a ValueError if there is none."""
     require_one_of("arm", name, ARMS, ", or its parameters")
     return ARMS[name]()
 

@@ -18,7 +18,6 @@ def arm_with_positioner(
     the positioner, and of its place, are fitted as errors of the arm's joints and links.
 
     Args:
-        arm: the arm that carries the camera.
         positioner: the positioner or linear axis; its tool is the plate that carries the target.
         base_from_positioner: pose of the positioner's base in the arm's, as far as it is known.
 

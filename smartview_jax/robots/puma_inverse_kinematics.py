@@ -68,7 +68,6 @@ def puma_joints(arm: SerialArm, base_from_tool: PoseLike) -> JointSolution:
     coincide. The result is differentiable where a solution exists and is not singular.
 
     Args:
-        arm: a Puma-like arm, as described in the module's docstring.
         base_from_tool: wanted poses, `(*views)`.
 
     Returns:
@@ -298,11 +297,7 @@ def _wrist_angles(
 ) -> tuple[tuple[Float[Array, ""], ...], Bool[Array, ""]]:
     """Return the angles of joints 4 to 6, and whether the wrist is singular.
 
-    Args:
-        arm: a Puma-like arm.
-        rotation: of the hand relative to the forearm.
-        sign: of the branch.
-        near: angle of joint 4 where it is arbitrary.
+    The rotation is of the hand to the forearm; joint 4 is at `near` where it is arbitrary.
     """
     # The rotation is W = Rz(t4) Ry(-s4 t5) Rz(u) with u = -s4 s5 t6, followed by a rotation by 180
     # degrees about x if s4 = s5. That rotation is removed by `flip`.

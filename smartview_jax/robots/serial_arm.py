@@ -94,11 +94,7 @@ class SerialArm(eqx.Module):
         return len(self.theta)
 
     def base_from_tool(self, joints: JointsLike) -> SE3:
-        """Return the tool's poses `(*views)` at joint readings, by forward kinematics.
-
-        Raises:
-            ValueError: there is not one reading per joint.
-        """
+        """Return the tool's poses `(*views)` by forward kinematics at one reading per joint."""
         joints = _as_jax_array(joints)
         if joints.shape[-1:] != (self.joint_count,):
             raise ValueError(
@@ -144,12 +140,7 @@ def _as_jax_array(numbers: Sequence[Any] | np.ndarray | Array) -> Float[Array, "
 def _checked_limits(
     limits: Sequence[Sequence[float]] | np.ndarray | Array | None, joints: int
 ) -> Float[Array, "joints 2"]:
-    """Return the joint limits as an array, infinite by default.
-
-    Raises:
-        ValueError: the shape is wrong, or a lower limit is not below the upper one; the message
-            counts joints from one.
-    """
+    """Return the joint limits as an array, infinite by default."""
     if limits is None:
         return jax.device_put(np.tile([-np.inf, np.inf], (joints, 1)))
     if np.shape(limits) != (joints, 2):
@@ -201,12 +192,10 @@ def pose_and_jacobian(
 def _screw_twists(
     convention: str, tool: SE3, frames: SE3, axis: int
 ) -> tuple[Float[Array, "*views joints 6"], Float[Array, "*views joints 6"]]:
-    """Return the tool's twists per unit of a turn about each joint's z or x axis, and of a slide.
+    """Return the tool's twists per unit of a turn about each joint's axis, and of a slide along it.
 
-    Args:
-        convention: of the Denavit-Hartenberg parameters.
-        tool, frames: results of `chain_frames`.
-        axis: 2 for the screws about z (`theta` and `d`), 0 for those about x (`alpha` and `a`).
+    The axis is 2 for screws about z (`theta` and `d`), 0 for those about x (`alpha` and `a`). Tool
+    and frames are from `chain_frames`.
     """
     # In the standard convention the z screw is the first of a link and the x screw the second; in
     # the modified convention it is the reverse.

@@ -36,11 +36,7 @@ class Trajectory(NamedTuple):
 
     @classmethod
     def of(cls, times: Float[np.ndarray, "logged"], base_from_tool: PoseLike) -> "Trajectory":
-        """Return a trajectory after checking it.
-
-        Raises:
-            ValueError: too few poses, or times that do not increase.
-        """
+        """Return a trajectory; a ValueError for too few poses, or times that do not increase."""
         seconds, poses = np.asarray(times, dtype=float), host_matrices(as_se3(base_from_tool))
         if seconds.shape != (len(poses),) or len(poses) < MIN_LOGGED_POSES:
             raise ValueError(
@@ -65,11 +61,7 @@ class Trajectory(NamedTuple):
         return ~((self.times[0] <= times) & (times <= self.times[-1]))
 
     def at(self, times: Float[np.ndarray, "views"]) -> Float[np.ndarray, "views 4 4"]:
-        """Return the poses at some times, which must be within the logged times.
-
-        Raises:
-            ValueError: a time before the first or after the last logged one.
-        """
+        """Return the poses at some times; a ValueError for a time outside the log."""
         outside = self.outside(times)
         if outside.any():
             time = times[int(np.argmax(outside))]
@@ -98,7 +90,6 @@ def times_in_gaps(
     usual interval.
 
     Args:
-        trajectory: the logged poses.
         times: times within the log, s.
     """
     logged = trajectory.times
@@ -124,16 +115,10 @@ def times_in_gaps(
 def _interpolation_error(
     trajectory: Trajectory, duration: float, fraction: float, usual: float
 ) -> Float[np.ndarray, "2"]:
-    """Return the RMS error of position and angle of interpolation over a duration.
+    """Return the RMS error of position (m) and angle (rad) of interpolation over a duration (s).
 
-    Args:
-        trajectory: the logged poses.
-        duration: of the windows, s.
-        fraction: place within the window where the pose is interpolated, 0 to 1.
-        usual: longest interval at which a log is complete, s.
-
-    Returns:
-        Position in m, angle in rad; NaN where the log has no complete window with motion.
+    The pose is interpolated at a fraction of the window. The result is NaN if no window without
+    gaps, intervals longer than the usual one (s), has motion.
     """
     logged = trajectory.times
     first = np.arange(1, len(logged) - 1)

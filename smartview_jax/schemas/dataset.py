@@ -158,9 +158,7 @@ class JointsEntry(Entry):
 def check_pattern(text: str, required: Sequence[str] = ("view",)) -> str:
     """Return a pattern of picture names; raise a ValueError for a wrong placeholder.
 
-    Args:
-        text: pattern with placeholders such as `{view}`.
-        required: names of the placeholders that it must have; it may have `{height}` too.
+    It must have the required placeholders, and may have `{height}` too.
     """
     # The pattern is passed to `str.format`, so other braces are refused.
     remainder = text.replace("{height}", "")

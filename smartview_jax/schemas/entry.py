@@ -30,12 +30,7 @@ _KIND_PREFIX = "smartview_"
 
 
 def refuse_other_kind(content: Any, known: Iterable[str]) -> None:
-    """Raise a ValueError for the content of a file of another kind.
-
-    Args:
-        content: as read from the file.
-        known: keys of the expected file, with its kind.
-    """
+    """Raise a ValueError for a file of another kind than the known keys are of."""
     keys = list(content) if isinstance(content, dict) else []
     this_kind, other = (
         next((key for key in some if str(key).startswith(_KIND_PREFIX)), None)
@@ -76,11 +71,7 @@ class Entry(BaseModel):
 
 @dataclasses.dataclass(frozen=True)
 class Expected:
-    """A description of the values that a type expects, for its errors and its JSON schema.
-
-    Attributes:
-        description: description of the expected value with its unit and range.
-    """
+    """A description of the values that a type expects, for its errors and its JSON schema."""
 
     description: str
 

@@ -90,11 +90,7 @@ class RobotEntries(Entry):
     tool_from_world: RoughPose | None = None
 
     def check_robot(self, mounts: Collection[str]) -> None:
-        """Raise a ValueError unless a table tells the poses, and for a pose that no camera needs.
-
-        Args:
-            mounts: mounts of the arm's cameras.
-        """
+        """Raise a ValueError if no table states the poses, or one states a pose for no camera."""
         if self.poses is None and self.joints is None:
             raise ValueError("expected an entry 'poses', 'joints', or both")
         for name, mount in (

@@ -36,7 +36,6 @@ def validate_content(
 
     Args:
         content: mappings, lists and values, as read from YAML or JSON.
-        schema: schema of the whole content.
         source: the file, or the file and an entry in it, for error messages; may be empty.
 
     Raises:
@@ -82,8 +81,6 @@ def write_validated(
     """Write a mapping as YAML, or as JSON if the name ends in `.json`, completely or not at all.
 
     Args:
-        path: of the file.
-        content: mappings, lists and values.
         schema: schema by which a reader validates the file.
 
     Raises:
@@ -135,13 +132,7 @@ def entry_path(location: Sequence[str | int], content: Any, keep_last: bool = Fa
     """Return the dotted path of an entry in the file.
 
     The steps of pydantic's location include the alternatives of a union; they are not in the file
-    and are left out.
-
-    Args:
-        location: steps of the problem's location, from pydantic.
-        content: content of the file.
-        keep_last: whether to keep the last step although the file does not have it, for a missing
-            entry.
+    and are left out. The last step of a missing entry is kept on request.
     """
     # A step that is found in the content is part of the path; pydantic inserted the others, tags
     # of unions and names of types.

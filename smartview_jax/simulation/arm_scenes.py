@@ -108,9 +108,6 @@ def six_axis_scene(
     """Return random views of a board of 12 x 9 points, 30 mm apart, by a 1056 px camera on an arm.
 
     Args:
-        seed: seed of numpy's generator; the same seed gives the same scene.
-        views: number of views to calibrate with.
-        held_out_views: number of held-out views.
         error_scale: errors of the arm, as multiples of `error_sigma`.
         warp_range: smallest and largest deviation of the board from its plane, m.
         error_sigma: standard deviations of the arm's errors, by the groups of `DHErrors`.
@@ -157,15 +154,7 @@ def six_axis_scene(
 
 
 def joints_near_home(arm: SerialArm, base_from_tool: SE3) -> Float[Array, "views joints"]:
-    """Return joint angles near `HOME_JOINTS` at which the tool of an arm has the wanted poses.
-
-    Args:
-        arm: an arm of six joints.
-        base_from_tool: wanted pose in each view.
-
-    Raises:
-        RuntimeError: the arm does not reach a view.
-    """
+    """Return joint angles near `HOME_JOINTS` at which the tool has the wanted poses."""
     # The program takes seconds to compile; padded, it is the same for scenes of all usual sizes.
     near = np.tile(HOME_JOINTS, (len(base_from_tool.wxyz_xyz), 1))
     joints, reached = over_padded_views(

@@ -177,7 +177,6 @@ def write_object_example(
     `truth.json` the vertices and faces of the object in the board's frame, m.
 
     Args:
-        folder: folder to create.
         seed: seed of the noise of camera and robot.
         pattern: arrangement of the viewpoints, as in `five_viewpoints`.
         suffix: kind of the picture files.

@@ -23,9 +23,6 @@ def printed_pattern(target: AbstractTarget) -> Pattern:
 
     Circles of unknown radius have a quarter of the distance to their nearest neighbour; the
     background of light circles is dark everywhere.
-
-    Raises:
-        ValueError: the pattern of the target is unknown.
     """
     if isinstance(target, CircleGrid):
         return _circle_pattern(target)
@@ -39,7 +36,6 @@ def printed_pattern(target: AbstractTarget) -> Pattern:
 
 
 def _circle_pattern(target: CircleGrid) -> Pattern:
-    """Return the pattern of a circle grid."""
     step = target.spacing
     radius = 0.25 * target.nearest_neighbour_distance if target.radius is None else target.radius
     mark_radius = ORIGIN_MARK_RATIO * radius if target.mark_radius is None else target.mark_radius
@@ -59,8 +55,6 @@ def _circle_pattern(target: CircleGrid) -> Pattern:
 
 
 def _chessboard_pattern(target: Chessboard) -> Pattern:
-    """Return the pattern of a chessboard."""
-
     def is_dark(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         i, j = _cell_index(y, target.square), _cell_index(x, target.square)
         printed = (i >= -1) & (i < target.rows) & (j >= -1) & (j < target.columns)

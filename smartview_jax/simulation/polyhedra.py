@@ -94,11 +94,7 @@ def box(width: float, depth: float, height: float) -> Polyhedron:
 
 
 def stepped_block(size: float = 0.03) -> Polyhedron:
-    """Return a block with a step, an inner corner and twelve vertices: the package's example.
-
-    Args:
-        size: length of the longest edge, m.
-    """
+    """Return the example: a block (m long) with a step, an inner corner and twelve vertices."""
     # The profile in the plane of x and z is an L on its long side; it is extruded along y. One end
     # of the upper part is bevelled, so that no rotation maps it to itself.
     profile = np.array(
@@ -111,11 +107,7 @@ def stepped_block(size: float = 0.03) -> Polyhedron:
 
 
 def roofed_block(size: float = 0.03) -> Polyhedron:
-    """Return a block with a gable roof: ten vertices, seven faces.
-
-    Args:
-        size: length along x, m.
-    """
+    """Return a block, `size` (m) long, with a gable roof: ten vertices, seven faces."""
     profile = np.array([[-0.4, 0.0], [0.4, 0.0], [0.4, 0.35], [0.0, 0.65], [-0.4, 0.35]])
     flat = prism(size * profile, size)
     y, z, x = flat.vertices.T

@@ -67,12 +67,7 @@ class RayCaster:
     def first_hits(
         self, origin: Float[np.ndarray, "3"], directions: Float[np.ndarray, "rays 3"]
     ) -> Hits:
-        """Return the first hits of rays from one point.
-
-        Args:
-            origin: start of all rays, m.
-            directions: of any length but zero.
-        """
+        """Return the first hits of rays from one point, m; no direction may be zero."""
         origins = np.broadcast_to(origin, directions.shape)
         triangle = np.asarray(self._intersector.intersects_first(origins, directions), dtype=int)
         # The point is computed in double precision from the triangle's plane, n (o + t d - p) = 0:
@@ -93,12 +88,9 @@ class RayCaster:
         normals: Float[np.ndarray, "points 3"],
         direction: Float[np.ndarray, "3"],
     ) -> Bool[np.ndarray, "points"]:
-        """Return whether anything lies between surface points and a distant light.
+        """Return whether anything lies between surface points (m) and a distant light.
 
-        Args:
-            points: on surfaces, m.
-            normals: unit normals of the surfaces, on the side to be lit.
-            direction: from the points to the light.
+        The unit normals are on the side to be lit; the direction is towards the light.
         """
         starts = points + self._start_offset * normals
         directions = np.broadcast_to(direction, points.shape)

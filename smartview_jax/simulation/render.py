@@ -142,9 +142,7 @@ def write_pictures(
 
     Args:
         folder: folder to create; `load_dataset` reads it.
-        calibration: the true calibration.
         base_from_tool: `(views)` true robot poses.
-        target: target in the pictures.
         reported_poses: `(views)` poses that the robot reports; the true ones by default.
         suffix: kind of the picture files; `".jpg"` is small, `".png"` exact.
         pose_format: format of the poses in `poses.csv`: one of `POSE_CODECS`.

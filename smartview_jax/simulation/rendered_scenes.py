@@ -39,9 +39,7 @@ def rendered_scene(
     has no visible points.
 
     Args:
-        calibration: the true calibration.
         base_from_tool: `(views)` true robot poses.
-        target: target in the pictures.
         reported_poses: `(views)` poses that the robot reports; the true ones by default.
         seed: seed of the sensor's noise.
         progress: called with a text for each view.

@@ -149,12 +149,7 @@ def paper_calibration() -> Calibration:
 
 
 def calibration_of(camera: Camera, reach: float) -> Calibration:
-    """Return a true calibration of a camera on a hand whose target lies before the robot.
-
-    Args:
-        camera: its intrinsics and lens.
-        reach: x of the target in the robot's base, m.
-    """
+    """Return a calibration of a camera on a hand whose target is `reach` (m) before the robot."""
     camera_from_tool = SE3.from_rotation_and_translation(
         SO3.from_rpy_radians(0.03, -0.05, 0.1), jnp.array([-0.02, 0.06, -0.09])
     )
@@ -188,9 +183,7 @@ def random_scene(
 
     Args:
         seed: the same seed gives the same scene.
-        views: number of views.
         points: target points, m.
-        calibration: the true one.
         tilt: largest tilt of the camera, rad.
         distance: smallest and largest distance from the middle of the target, m.
         noise: as for `simulate`.

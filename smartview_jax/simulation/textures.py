@@ -28,7 +28,6 @@ def speckled(albedo: float, contrast: float, grain: float, seed: int = 0) -> Tex
         albedo: its mean.
         contrast: largest deviation from the mean.
         grain: distance over which it changes, m.
-        seed: seed of the random values.
     """
     values = np.random.default_rng(seed).uniform(-1.0, 1.0, (LATTICE_SIZE,) * 3)
 
@@ -58,7 +57,6 @@ def labelled(ground: Texture, count: int, size: float, extent: float, seed: int 
         count: number of rectangles.
         size: their largest length, m.
         extent: they are centred within this distance of the origin, along x and y, m.
-        seed: seed of the random values.
     """
     rng = np.random.default_rng(seed)
     centres = rng.uniform(-extent, extent, (count, 2))

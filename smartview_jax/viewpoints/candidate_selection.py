@@ -39,16 +39,7 @@ def best_candidates(
     allowed: Bool[Array, "candidates"],
     say: Callable[[str], None],
 ) -> Int[Array, "count"]:
-    """Return indices of the candidates that together make the criterion as small as possible.
-
-    Args:
-        information: information matrix of each candidate.
-        prior_information: information without any candidate.
-        criterion: the criterion.
-        count: number of candidates to choose.
-        allowed: whether each candidate may be chosen; at least `count` may.
-        say: called with a text for each stage.
-    """
+    """Return indices of the allowed candidates that together make the criterion smallest."""
     allowed_count = int(np.sum(allowed))
     # A pose that no joints reach is NaN: in a sum it would make every candidate NaN.
     finite = np.isfinite(np.asarray(information)).all(axis=(1, 2), keepdims=True)
@@ -72,14 +63,10 @@ def require_enough(count: int, allowed: Bool[AnyArray, "candidates"], kind: str)
 
 
 def require_metres(poses: SE3, farthest: float, place: str) -> None:
-    """Raise a ValueError if a candidate is farther than an arm gets, as in millimetres.
+    """Raise a ValueError if a candidate is farther than an arm gets (m), as in millimetres.
 
-    A target that far away is a dot in the picture, so that nothing else would tell.
-
-    Args:
-        poses: of the candidates; poses that are not finite are passed over.
-        farthest: largest distance that is possible, m.
-        place: what the distance is from, for the message.
+    A target that far away is a dot in the picture, so that nothing else would tell. Poses that are
+    not finite are passed over.
     """
     distance = np.linalg.norm(host_matrices(poses)[:, :3, 3], axis=1)
     far = np.flatnonzero(distance > farthest)
@@ -236,11 +223,7 @@ class ViewRequirements:
             )
 
     def may_be_taken(self, poses: SE3) -> Bool[np.ndarray, "views"]:
-        """Return which poses are finite and allowed.
-
-        Raises:
-            ValueError: `allowed` does not return a flag for each view.
-        """
+        """Return which poses are finite and allowed; a ValueError unless each view has a flag."""
         finite = np.asarray(np.isfinite(np.asarray(poses.wxyz_xyz)).all(axis=1))
         if self.allowed is None:
             return finite
@@ -281,14 +264,7 @@ def worth_of_views(
     values: Float[Array, "views"],
     stop: StopRule,
 ) -> Worth:
-    """Return up to which view another one is worth its time.
-
-    Args:
-        criterion: the criterion.
-        prior_information: before the first view.
-        values: of its `cumulative_criterion`.
-        stop: the goal and the least gain.
-    """
+    """Return up to which view another one is worth its time, from the cumulative criterion."""
     before = float(criterion(prior_information))
     before = before if np.isfinite(before) else float("inf")
     after = tuple(np.asarray(values).tolist())

@@ -129,13 +129,7 @@ class Checks(eqx.Module):
         )
 
     def reasons(self, check_names: tuple[str, ...] = tuple(CHECK_MESSAGES)) -> tuple[str, ...]:
-        """Return the reasons of all failed checks for each viewpoint, in flat order.
-
-        A reason is empty where all checks pass.
-
-        Args:
-            check_names: names of the checks to report.
-        """
+        """Return the reasons of the named checks that failed, by viewpoint; empty if none did."""
         failed = {name: ~np.ravel(mask) for name, mask in self.passed.items()}
         measured = {name: np.ravel(values) for name, values in self.measured.items()}
         checks = [name for name in CHECK_MESSAGES if name in failed and name in check_names]
@@ -156,7 +150,6 @@ class Checks(eqx.Module):
 
 
 def _all_of(masks: list[Bool[Array, "*views"]]) -> Bool[Array, "*views"]:
-    """Return where all masks are True."""
     if is_traced(masks):
         return jnp.all(jnp.stack(masks), axis=0)
     return to_device(np.all([np.asarray(mask) for mask in masks], axis=0))
@@ -173,13 +166,7 @@ def check_views(
 ) -> Checks:
     """Return the results of all checks that the given information allows.
 
-    Args:
-        calibration: calibration of camera and robot.
-        command: robot commands, `(*views)`.
-        camera_from_world: camera poses that the commands result in.
-        points: target points, m; None omits the checks of visibility and focus.
-        joint_solution: inverse-kinematics solution; None where no arm is known.
-        limits: limits to keep.
+    Without points (m) visibility and focus are not checked; the solution is None without an arm.
     """
     views = camera_from_world.get_batch_axes()
     finite = jnp.all(jnp.isfinite(camera_from_world.wxyz_xyz), axis=-1)
@@ -293,12 +280,7 @@ def _tool_in_world(calibration: Calibration, command: Command) -> Float[Array, "
 
 
 def unchecked(calibration: Calibration, arm_is_known: bool) -> tuple[str, ...]:
-    """Return in words which safety checks `check_views` cannot make, or only in part.
-
-    Args:
-        calibration: of camera and robot.
-        arm_is_known: whether joint readings were computed.
-    """
+    """Return in words which safety checks `check_views` cannot make, with or without an arm."""
     sentences = []
     region = calibration.region
     if region is not None and float(region.side) == 0.0:

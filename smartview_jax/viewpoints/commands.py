@@ -189,12 +189,9 @@ def _commands_with_checks(
 
 
 def solve_joints(arm: SerialArm, command: Command, near: JointsLike) -> JointSolution:
-    """Return joint readings for commands, with their status.
+    """Return joint readings of the nominal arm for commands, near given ones, with their status.
 
-    Args:
-        arm: the nominal arm.
-        command: poses `(*views)`; joints in the command are kept, NaN where there are none.
-        near: joint readings near which to solve.
+    Readings in the command are kept, NaN where there are none.
     """
     joints = command.joints
     if joints is None:

@@ -142,7 +142,6 @@ def plan_views(
 
     Args:
         model: the current information, and the information of views.
-        views: range of the views.
         stop: when the plan ends; its goal is in m or px.
         needs: what a view has to show; its `allowed` is called with the commands `base_from_tool`
             `(views)`, such as for those in a box.

@@ -100,8 +100,6 @@ class RigInformationModel:
         """Return a model whose knowledge before any further state is the covariance of a fit.
 
         Args:
-            fit: joint fit of the rig.
-            rig: the data that it was given.
             arm: name of one of several arms, whose states are to be planned for its own cameras.
 
         Raises:

@@ -59,7 +59,6 @@ def plan_states(
 
     Args:
         model: the current information, and the information of states.
-        limits: limits of the views of each camera.
         stop: when the plan ends; its goal is in m.
         arm: the arm, if its joints are known.
         near: joint readings near which to solve; also needed if an arm's errors are corrected.
@@ -97,11 +96,6 @@ def plan_states(
 
 
 def _range_of(model: RigInformationModel, name: str, limits: ViewLimits) -> ViewRange:
-    """Return the range of new views of one camera.
-
-    Raises:
-        ValueError: its calibration states no region; the message names the camera.
-    """
     points = np.asarray(model.rig.cameras[name].points[0])
     with errors_at(f"camera {name!r}"):
         return views_near_calibrated(model.calibrations[name], points, limits)

@@ -58,9 +58,6 @@ def choose_states(
 
     `choose_views` calls it for a rig; its arguments are explained there, and the requirements in
     `ViewRequirements`.
-
-    Raises:
-        ValueError: fewer than `count` candidates may be taken, or one is farther than arms get.
     """
     say = progress or (lambda _: None)
     rig = candidates

@@ -81,9 +81,7 @@ def situation_of_estimate(
     """Return the situation given a calibration with its covariance.
 
     Args:
-        estimate: the calibration.
         points: the target's points, m.
-        limits: limits of the views.
         readings: joint readings now, if the arm's joints are calibrated.
         depth_noise: noise of the depths that every view has; None without a depth sensor.
 
@@ -98,11 +96,7 @@ def situation_of_estimate(
 def views_near_calibrated(
     calibration: Calibration, points: Float[np.ndarray, "points 3"], limits: ViewLimits
 ) -> ViewRange:
-    """Return the range of new views of a camera, which stay near the calibrated ones.
-
-    Raises:
-        ValueError: the calibration states no region, which files of earlier versions lack.
-    """
+    """Return the range of new views of a camera, which stay near the calibrated ones."""
     region = calibration.region
     if region is None:
         raise ValueError("region: missing; calibrate again to add it")
@@ -129,7 +123,6 @@ def situation_of_drawing(
         points: the target's points, m.
         image_size: width and height of the pictures, px.
         camera: a known camera; None for one that is assumed.
-        limits: limits of the views.
 
     Raises:
         ValueError: a missing transform, a camera with pictures of another size, or an unknown side

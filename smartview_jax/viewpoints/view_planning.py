@@ -107,7 +107,6 @@ def choose_views(
     Args:
         information_model: prior information, and the model of the information of views.
         criterion: the criterion that the views minimise.
-        count: number of views to choose.
         views: candidates `camera_from_world`, or the range in which candidates are sampled at
             random and then refined by gradient, unless `refine` is False. Of a rig, commands
             `base_from_tool` of states to take, or a `Rig` of states to keep.

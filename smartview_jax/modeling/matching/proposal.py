@@ -85,7 +85,6 @@ def propose_model(
             of several cameras.
         poses: poses that the robot reported in each view, `base_from_tool`; None where the robot
             does not matter (`RigViews`).
-        pictures: of the object, one for each view.
         depths: smallest and largest distance of the object's points from the cameras, m.
         features: of each picture, if `features.find` was called already.
         min_views: smallest number of views in which a point has to be found; by default 3, or 2 for

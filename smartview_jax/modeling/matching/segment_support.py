@@ -31,11 +31,7 @@ def joined_points(
 ) -> tuple[Int[np.ndarray, "joined 2"], Int[np.ndarray, "joined"]]:
     """Return the pairs of points that follow one another on a segment, and the segment of each.
 
-    Args:
-        features: of the view.
-        pixels: pixels of the points; NaN where they are not visible.
-        rays: unit rays of the points in the camera's frame.
-        focal_length: px.
+    Pixels are NaN where a point is not visible; rays are unit vectors in the camera's frame.
     """
     visible = np.flatnonzero(np.isfinite(pixels).all(axis=1))
     # The sine of the angle between a ray and a segment's plane is the distance in units of 1 / f.

@@ -86,13 +86,7 @@ class Tracks(NamedTuple):
 def epipolar_pairs(
     views: list[CornerView], first: int, second: int, depths: tuple[float, float]
 ) -> Pairs:
-    """Return pairs of corners of two views that are among the best of each other.
-
-    Args:
-        views: all views.
-        first, second: indices of the two views.
-        depths: smallest and largest distance of points from the cameras, m.
-    """
+    """Return pairs of corners of two views, at depths (m), among the best of each other."""
     a, b = views[first], views[second]
     i, j, similarity = _alike_on_epipolar_lines(a, b)
     points, in_range = _intersections(a, b, i, j, depths)
@@ -162,11 +156,7 @@ def supported_tracks(
 ) -> Tracks:
     """Return the tracks of pairs whose point is seen in other views too, each corner used once.
 
-    Args:
-        views: all views.
-        pairs: pairs of all views.
-        projected: pixels of the pairs' points in all views; NaN where not visible.
-        min_views: smallest number of views of a track.
+    The pairs' points are projected to all views, px; NaN where they are not visible.
     """
     corners, similarity, distance = _supporters(views, pairs, projected)
     count = (corners >= 0).sum(axis=0)
@@ -199,8 +189,7 @@ def _supporters(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the corner in every view that is nearest to each pair's point and looks alike.
 
-    Returns:
-        indices, -1 where there is none; correlations and distances (px), NaN there.
+    Its index is -1 where there is none, and then correlation and distance (px) are NaN.
     """
     shape = projected.shape[:2]
     corners = np.full(shape, -1)
@@ -229,7 +218,6 @@ def _supporters(
 
 
 def _patches_of(views: list[CornerView], pairs: Pairs, side: int) -> np.ndarray:
-    """Return the patches of the first or second corner of each pair."""
     patches = np.empty((len(pairs.views), views[0].patches.shape[1]))
     for k, view in enumerate(views):
         in_view = pairs.views[:, side] == k

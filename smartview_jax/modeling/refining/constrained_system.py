@@ -26,12 +26,7 @@ constraint holds to a ten-thousandth of the pictures' standard deviation."""
 
 
 class FeatureBlocks(NamedTuple):
-    """Block-diagonal matrices of points (3x3) and lines (4x4), points first.
-
-    Attributes:
-        points: blocks of the points.
-        lines: blocks of the lines.
-    """
+    """Block-diagonal matrices of points (3x3) and lines (4x4), points first."""
 
     points: Float[np.ndarray, "points 3 3"]
     lines: Float[np.ndarray, "lines 4 4"]
@@ -96,9 +91,6 @@ class ConstrainedSystem(NamedTuple):
         """Return the variances that the pictures alone leave the constraints' numbers.
 
         Unknowns that only constraints determine, such as their planes, are treated as known here.
-
-        Args:
-            inverse: inverse of `features`.
         """
         A, precision = self.feature_constraints, np.diagonal(self.border)
         # Each unknown of the border separately, which is enough for a scale.

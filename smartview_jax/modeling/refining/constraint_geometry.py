@@ -16,11 +16,7 @@ from ..line_jacobians import Lines, perpendicular_axes
 
 
 class LineIndex(NamedTuple):
-    """The index of a triangulated line, used in place of an edge.
-
-    Attributes:
-        line: the index.
-    """
+    """The index of a triangulated line, used in place of an edge."""
 
     line: int
 

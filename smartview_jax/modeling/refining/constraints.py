@@ -29,11 +29,7 @@ from .constraint_geometry import (
 
 @dataclasses.dataclass(frozen=True)
 class AbstractConstraint(abc.ABC):
-    """A known property of an object.
-
-    Attributes:
-        sigma: standard deviation, m or rad as the constraint says; None is exact.
-    """
+    """A known property of an object; `sigma` is its standard deviation, m or rad, None if exact."""
 
     sigma: float | None = dataclasses.field(default=None, kw_only=True)
 
@@ -204,12 +200,7 @@ class EqualLength(AbstractEdgePair):
 
 @dataclasses.dataclass(frozen=True)
 class KnownLength(AbstractConstraint):
-    """An edge between two vertices has a known length; sigma in m.
-
-    Attributes:
-        edge: two vertices.
-        length: the length, m.
-    """
+    """An edge between two vertices has a known length, m; sigma in m."""
 
     edge: tuple[int, int]
     length: float
@@ -233,10 +224,7 @@ class KnownLength(AbstractConstraint):
 class Symmetric(AbstractConstraint):
     """Pairs of vertices are mirror images in an unknown plane; sigma in m.
 
-    A vertex in the plane is paired with itself.
-
-    Attributes:
-        pairs: indices of the vertices; at least one pair of different ones.
+    A vertex in the plane is paired with itself; at least one pair has different ones.
     """
 
     pairs: tuple[tuple[int, int], ...]
@@ -278,11 +266,7 @@ class Symmetric(AbstractConstraint):
 def check_edges(
     constraints: Sequence[AbstractConstraint], points: Float[np.ndarray, "points 3"]
 ) -> None:
-    """Raise if an edge of a constraint has no length and so no direction.
-
-    Raises:
-        ValueError: naming the constraint and the vertices.
-    """
+    """Raise if an edge of a constraint has no length and so no direction."""
     for constraint in constraints:
         for edge in constraint.edges:
             # Later steps are small compared with any edge that has a length, so this check is
@@ -294,11 +278,7 @@ def check_edges(
 def check_constraints(
     constraints: Sequence[AbstractConstraint], point_count: int, line_count: int
 ) -> None:
-    """Raise if a constraint names a vertex or a line that does not exist.
-
-    Raises:
-        ValueError: naming the constraint and the index.
-    """
+    """Raise if a constraint names a vertex or a line that does not exist."""
     for constraint in constraints:
         for kind, indices, count in (
             ("vertex", constraint.vertices, point_count),

@@ -67,11 +67,7 @@ class CheckedObservations(NamedTuple):
 
     @classmethod
     def of(cls, observations: ModelObservations) -> "CheckedObservations":
-        """Check the arrays of observations.
-
-        Raises:
-            ValueError: as in `triangulate_points` and `triangulate_lines`.
-        """
+        """Check the arrays of observations."""
         views = SeenViews.of(observations.calibration, observations.poses)
         pixels, visible = views.checked_points(observations.pixels, observations.visible)
         # Without lines the arrays are empty, so that no special case is needed below.
@@ -125,8 +121,6 @@ def picture_equations(
     """Return the normal equations at a shape and at offsets of the calibration's numbers.
 
     Args:
-        observed: the observations.
-        shape: points and lines.
         uncertainty: the numbers and their effect on every view.
         offsets: of the numbers from the calibration.
         columns: combinations of the numbers to differentiate by.

@@ -73,7 +73,6 @@ def refine(
 
     Args:
         start: a model with `vertices`, or points, m; None or NaN where they are triangulated first.
-        observations: the pictures.
         constraints: known properties of the object, each soft or exact.
         free: `"poses"` also estimates the robot's own noise in each view, `"calibration"`
             everything that `covariance` and `noise` call uncertain, under their prior.

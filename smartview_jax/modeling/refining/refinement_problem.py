@@ -29,16 +29,13 @@ class RefinementProblem(NamedTuple):
     """The fixed parts of a refinement.
 
     Attributes:
-        observed: observations.
         uncertainty: numbers of the calibration.
         roots: combinations of the numbers with unit prior variance.
         free: which of these are estimated.
-        constraints: the constraints.
         planes: index of each constraint's own plane; -1 for none.
         weak: indices of points in the border.
         start: initial points, the mean of the weak prior.
         weak_sigma: standard deviation of the weak prior, m.
-        loss: robust loss.
     """
 
     observed: CheckedObservations
@@ -64,11 +61,7 @@ class RefinementEquations(NamedTuple):
     """The linearised problem at a state.
 
     Attributes:
-        pictures: contribution of the pictures.
-        system: the matrix.
-        feature_right: right-hand side of the features.
         reduced_right: right-hand side of border and constraints.
-        values: the constraints' numbers.
         rows: the rows of each constraint.
         point_rows: numbers of each point's coordinates among the unknowns: features, then border.
         cost: half the squares of pictures and priors.
@@ -150,13 +143,7 @@ def linearise(
 
 
 class _FirstColumns(NamedTuple):
-    """The first columns of the unknowns in the derivatives of constraints.
-
-    Attributes:
-        points: of each point.
-        lines: of the first line.
-        planes: of the first plane.
-    """
+    """The first columns of the unknowns in the derivatives of constraints."""
 
     points: Int[np.ndarray, "points"]
     lines: int
@@ -177,14 +164,7 @@ def _constraint_rows(
     Float[np.ndarray, "rows"],
     tuple[slice, ...],
 ]:
-    """Return derivatives, values and variances of all constraints, and the rows of each.
-
-    Args:
-        problem: the problem.
-        shape: where the constraints are evaluated.
-        columns: places of the unknowns.
-        count: number of unknowns.
-    """
+    """Return derivatives, values and variances of all constraints, and the rows of each."""
     evaluations = [
         constraint.evaluate(shape, plane)
         for constraint, plane in zip(problem.constraints, problem.planes, strict=True)

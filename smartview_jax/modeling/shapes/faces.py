@@ -118,10 +118,9 @@ def area_vector(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
 
 
 def face_plane(vertices: Float[np.ndarray, "V 3"], face: Face) -> FacePlane:
-    """Return the plane of a face, with its normal to the side from which it is visible.
+    """Return the plane of a face, with its outward normal.
 
-    Raises:
-        ValueError: the loop crosses itself or encloses no area, so that it has no normal.
+    A loop that crosses itself or encloses no area is a ValueError.
     """
     outer = vertices[list(face.loop)]
     vector = area_vector(outer)

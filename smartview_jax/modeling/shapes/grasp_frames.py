@@ -75,8 +75,6 @@ def grasp_on_face(
     """Return the grasp at a point of a face, approached along the inward normal.
 
     Args:
-        model: with its faces.
-        face: index of the face.
         position: a point, moved along the normal onto the face, m; by default the mean of the
             face's corners.
         opening_direction: turned into the plane of the face; by default across the longest edge.

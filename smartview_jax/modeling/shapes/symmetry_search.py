@@ -161,11 +161,7 @@ class _Outline(NamedTuple):
 
     @classmethod
     def of(cls, model: ObjectModel, tolerance: float) -> "_Outline":
-        """Return the outline of a model.
-
-        Raises:
-            ValueError: its vertices are on one line.
-        """
+        """Return the outline of a model."""
         from scipy.spatial import KDTree
 
         rims = rim_vertices(model)

@@ -105,11 +105,7 @@ class DriverCell:
         return self.where()
 
     def picture(self) -> UInt8[np.ndarray, "rows columns"]:
-        """Return a grey picture.
-
-        Raises:
-            CellError: the camera returned no picture.
-        """
+        """Return a grey picture; raise a CellError if the camera returned none."""
         picture = self._grab()
         if not isinstance(picture, np.ndarray) or picture.ndim not in (2, 3) or not picture.size:
             raise CellError(f"the camera returned no picture, but {type(picture).__name__}")
@@ -121,11 +117,7 @@ class DriverCell:
         return picture
 
     def set_gripper(self, width: float) -> float:
-        """Move the fingers as `Cell.set_gripper` does.
-
-        Raises:
-            ValueError: the width is negative or not finite.
-        """
+        """Move the fingers as `Cell.set_gripper`; a negative or infinite width is a ValueError."""
         # The gripper's own controller knows the largest opening.
         if not 0.0 <= width < np.inf:
             raise ValueError(f"width {width!r} m; expected a finite number of metres, 0 or more")

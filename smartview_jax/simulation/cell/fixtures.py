@@ -87,11 +87,7 @@ def table_texture(seed: int, clutter: bool) -> Texture:
 
 
 def board_on_table(board: AbstractTarget, table: Texture) -> Texture:
-    """Return the texture of a table with a board on it, printed on paper without thickness.
-
-    Raises:
-        ValueError: the board's z points into the table, or its pattern is unknown.
-    """
+    """Return the texture of a table with a board on it, printed on paper without thickness."""
     if not board.y_up:
         raise ValueError("the board of a cell has z upwards: give it as a StackedTarget")
     # Only the flat board is printed.

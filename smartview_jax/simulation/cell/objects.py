@@ -70,11 +70,7 @@ class CellObject:
 
 
 def convex_parts(solid: Polyhedron, name: str = "") -> tuple[Float[np.ndarray, "corners 3"], ...]:
-    """Return the corners of convex parts that make up a solid.
-
-    Raises:
-        ValueError: it is neither convex nor a prism.
-    """
+    """Return the corners of convex parts that make up a solid."""
     if is_convex(solid):
         return (solid.vertices,)
     for face in solid.faces:

@@ -55,11 +55,7 @@ class Physics:
         guide_centre: tuple[float, float],
         guide_size: tuple[float, float],
     ):
-        """Build the model.
-
-        Raises:
-            ImportError: mujoco is not installed.
-        """
+        """Build the model; raise an ImportError without mujoco."""
         self._mujoco = import_extra("mujoco", "cell", "the physics of a cell")
         self.objects: tuple[CellObject, ...] = tuple(objects)
         self.gripper: Gripper = gripper
@@ -115,11 +111,7 @@ class Physics:
         self._mujoco.mj_forward(self._model, self._data)
 
     def fall(self) -> None:
-        """Let the objects fall, between guiding walls, until all rest.
-
-        Raises:
-            CellError: they do not come to rest, or the physics became unstable.
-        """
+        """Let the objects fall between guiding walls; a CellError if they do not come to rest."""
         mass = np.array([self._model.body(f"o{k}").mass[0] for k in range(len(self.objects))])
         guides = [self._model.geom(f"guide{k}").id for k in range(4)]
         # Terminal speed: the damping force balances the weight.
@@ -138,11 +130,7 @@ class Physics:
         self.settle()
 
     def settle(self) -> None:
-        """Let the objects move until all rest.
-
-        Raises:
-            CellError: they do not come to rest, or the physics became unstable.
-        """
+        """Let the objects move until all rest; a CellError if they do not."""
         # Contacts make speeds flicker, so all have to stay slow for a while.
         slow_since = self.time
         start = self.time
@@ -166,11 +154,7 @@ class Physics:
         return len(self.objects)
 
     def lead_gripper(self, world_from_gripper: Float[np.ndarray, "4 4"]) -> None:
-        """Lead the gripper in a straight line to a pose, with everything that it pushes or holds.
-
-        Raises:
-            CellError: the physics became unstable.
-        """
+        """Lead the gripper straight to a pose; a CellError if the physics becomes unstable."""
         # From the pose of the target, not of the body, which lags behind.
         start = _matrix(np.concatenate([self._data.mocap_pos[0], self._data.mocap_quat[0]]))
         shift = world_from_gripper[:3, 3] - start[:3, 3]
@@ -197,11 +181,7 @@ class Physics:
         self._run(0.1, lambda: False)
 
     def move_fingers(self, width: float) -> float:
-        """Move the fingers towards a distance, until they stop, and return their distance, m.
-
-        Raises:
-            CellError: the physics became unstable.
-        """
+        """Move the fingers towards a distance until they stop; return it, m."""
         # Each finger moves half of the distance.
         self._data.ctrl[:] = 0.5 * width
         slow_since = self.time
@@ -250,11 +230,7 @@ class Physics:
 
     @contextmanager
     def _whole_motion(self) -> Iterator[None]:
-        """Mark a motion as running.
-
-        Raises:
-            CellError: the last motion was interrupted.
-        """
+        """Mark a motion as running; raise a CellError if the last one was interrupted."""
         # The flag is still set if the previous motion did not finish.
         if self._moving:
             raise CellError("the last motion was interrupted or failed; drop the objects again")

@@ -49,14 +49,8 @@ def physics_xml(
 
     The gripper's body is welded to a massless target, which is moved along the path of the true
     tool; the fingers slide, coupled to each other, with a drive of limited force. The gripper
-    collides with objects and fixtures, not with itself.
-
-    Args:
-        objects: named o0, o1, ... in the model.
-        fixtures: boxes that do not move.
-        gripper: its boxes.
-        guide_centre: x and y of the middle between the guiding walls, m.
-        guide_size: distance between the guiding walls along x and y, m.
+    collides with objects and fixtures, not with itself. Objects are named o0, o1, ...; the guiding
+    walls have a middle and distances along x and y, m.
     """
     meshes: list[str] = []
     # Bits of contype and conaffinity: 1 for objects and fixtures, 2 for the gripper.

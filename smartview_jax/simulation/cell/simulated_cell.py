@@ -89,7 +89,6 @@ class SimulatedCell:
         Args:
             seed: seed of everything random.
             truth: the true state; by default `random_truth` of the seed.
-            gripper: the gripper on the flange.
             bin: the bin for dropped objects; None for the bare table.
             clutter: whether the table is printed with labels and scraps.
             blur, noise: of the pictures, px and grey levels.
@@ -269,7 +268,6 @@ class SimulatedCell:
         return self.arm.command(self._joints)
 
     def _joints_of(self, target: CommandLike | JointsLike | Sequence[float]) -> np.ndarray:
-        """Return the joint readings of a target."""
         if isinstance(target, Command):
             target = target.base_from_tool if target.joints is None else target.joints
         array = None if hasattr(target, "wxyz_xyz") else np.asarray(target, dtype=float)
@@ -349,7 +347,6 @@ class SimulatedCell:
         )
 
     def _solids(self) -> list[Polyhedron]:
-        """Return the objects at their current poses."""
         return [
             obj.solid.moved(self._physics.world_from_object(k))
             for k, obj in enumerate(self._objects)

@@ -67,12 +67,7 @@ class CellTruth:
 
 
 def random_truth(seed: int = 0, error_scale: float = 1.0) -> CellTruth:
-    """Return the true state of a cell; the same seed gives the same one.
-
-    Args:
-        seed: seed of the errors of arm and mounts.
-        error_scale: errors of the arm, as multiples of the values in the module's docstring.
-    """
+    """Return the true state of a cell by its seed, with errors scaled from the module's values."""
     rng, arm, drawn = np.random.default_rng((seed, 9)), six_axes(), drawn_calibration()
     # The last coefficient is beyond the usual four.
     lens = OpenCV5(-0.126, 0.0695, 1e-4, 3e-4, -0.03)
