@@ -43,7 +43,11 @@ class Obstacle(NamedTuple):
         size: Sequence[float] | Float[np.ndarray, "3"],
         world_from_box: Float[np.ndarray, "4 4"],
     ) -> "Obstacle":
-        """Return a box about the origin of its own frame; size along x, y, z, m, all positive."""
+        """Return a box about the origin of its own frame; size along x, y and z, m.
+
+        Raises:
+            ValueError: a size that is not positive, or a pose that is not rigid.
+        """
         lengths = np.asarray(size, dtype=float)
         if lengths.shape != (3,) or not (lengths > 0.0).all():
             raise ValueError(
@@ -55,7 +59,11 @@ class Obstacle(NamedTuple):
 
     @classmethod
     def table(cls, half_width: float = 0.5, z: float = 0.0, thickness: float = 0.05) -> "Obstacle":
-        """Return a square table about the world's z axis, with its top at height z, m."""
+        """Return a square table about the world's z axis, with its top at height z, m.
+
+        Raises:
+            ValueError: as for `box`.
+        """
         pose = host_poses(np.eye(3), np.array([0.0, 0.0, z - 0.5 * thickness]))
         return cls.box("table", (2.0 * half_width, 2.0 * half_width, thickness), pose)
 

@@ -123,7 +123,11 @@ def to_trimesh(model: ObjectModel) -> "trimesh.Trimesh":
 
 
 def face_triangles(vertices: Float[np.ndarray, "V 3"], face: Face) -> Int[np.ndarray, "T 3"]:
-    """Return a face cut into triangles: vertex indices, in the orientation of the face."""
+    """Return a face cut into triangles: vertex indices, in the orientation of the face.
+
+    Raises:
+        ImportError: mapbox-earcut is not installed.
+    """
     mapbox_earcut = import_extra("mapbox_earcut", "objects", "cutting faces into triangles")
     plane = face_plane(vertices, face)
     # Earcut works in the plane and takes all loops one after the other.

@@ -196,7 +196,11 @@ class TransformTree:
         return sorted({name for pair in self._records for name in pair})
 
     def parent_of(self, frame: str) -> str | None:
-        """Return the frame in which a frame's pose is published, None for a root."""
+        """Return the frame in which a frame's pose is published; None for a root.
+
+        Raises:
+            ValueError: it is published in two frames.
+        """
         parents = sorted({parent for parent, child in self._records if child == frame})
         if len(parents) > 1:
             raise ValueError(

@@ -94,7 +94,11 @@ class SerialArm(eqx.Module):
         return len(self.theta)
 
     def base_from_tool(self, joints: JointsLike) -> SE3:
-        """Return the tool's poses `(*views)` by forward kinematics at one reading per joint."""
+        """Return the tool's poses `(*views)` at joint readings, by forward kinematics.
+
+        Raises:
+            ValueError: there is not one reading per joint.
+        """
         joints = _as_jax_array(joints)
         if joints.shape[-1:] != (self.joint_count,):
             raise ValueError(

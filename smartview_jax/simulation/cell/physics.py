@@ -181,7 +181,11 @@ class Physics:
         self._run(0.1, lambda: False)
 
     def move_fingers(self, width: float) -> float:
-        """Move the fingers towards a distance until they stop; return it, m."""
+        """Move the fingers towards a distance, until they stop, and return their distance, m.
+
+        Raises:
+            CellError: the physics became unstable.
+        """
         # Each finger moves half of the distance.
         self._data.ctrl[:] = 0.5 * width
         slow_since = self.time
