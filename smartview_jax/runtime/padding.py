@@ -25,8 +25,20 @@ Larger data sets use optimised programs (`compilation.MIN_OPTIMISED_ELEMENTS`) a
 padding would cost noticeable time.
 """
 
-MIN_PADDED_COUNT = 8
-"""Smallest number of views, and of points, after padding."""
+MIN_PADDED_COUNT = 16
+"""Smallest number of views, and of points, after padding.
+
+Most first calibrations have 5 to 16 views, so one set of programs serves them all.
+"""
+
+MIN_PADDED_VIEWS_OF_MANY_POINTS = 8
+"""Smallest number of views after padding, where `MIN_PADDED_COUNT` would cost noticeable time."""
+
+MAX_CHEAP_OBSERVATIONS = 1_024
+"""Largest number of observations, including padding, of which few views are padded to 16.
+
+A fit of so few then takes some hundredths of a second more, and a program takes seconds to compile.
+"""
 
 MIN_PADDED_VIEWS = 64
 """Smallest number of views, after padding, of programs that compute little for each view."""
@@ -37,15 +49,15 @@ _Tree = TypeVar("_Tree")
 def padded_counts(views: int, points: int = 1) -> tuple[int, int]:
     """Return the numbers of views and of points to pad a data set to.
 
-    They are powers of two, at least 8; for a large data set the given numbers are returned.
+    They are powers of two, at least `MIN_PADDED_COUNT`, or half as many views of many points; for a
+    large data set the given numbers are returned.
     """
-    padded = _next_power_of_two(views), _next_power_of_two(points)
-    return padded if padded[0] * padded[1] <= MAX_PADDED_OBSERVATIONS else (views, points)
-
-
-def _next_power_of_two(count: int) -> int:
-    """Return the smallest power of two that is at least a count and `MIN_PADDED_COUNT`."""
-    return max(power_of_two_from(count), MIN_PADDED_COUNT)
+    padded_points = max(power_of_two_from(points), MIN_PADDED_COUNT)
+    is_cheap = MIN_PADDED_COUNT * padded_points <= MAX_CHEAP_OBSERVATIONS
+    min_views = MIN_PADDED_COUNT if is_cheap else MIN_PADDED_VIEWS_OF_MANY_POINTS
+    padded_views = max(power_of_two_from(views), min_views)
+    is_small = padded_views * padded_points <= MAX_PADDED_OBSERVATIONS
+    return (padded_views, padded_points) if is_small else (views, points)
 
 
 def power_of_two_from(count: int) -> int:

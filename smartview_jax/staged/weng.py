@@ -26,7 +26,7 @@ from ..dataset import Observations, coplanar, extents
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled_optimised
 from ..runtime.modules import HostModule
-from ..runtime.padding import MAX_PADDED_OBSERVATIONS, MIN_PADDED_COUNT, without_padding
+from ..runtime.padding import MAX_PADDED_OBSERVATIONS, without_padding
 from .weng_alternation import ViewFit, fit_view
 from .weng_start import Intrinsics, Start, view_starts
 
@@ -35,6 +35,9 @@ LINEAR_START = "linear"
 PLANAR_START = "one plane: centre held, alpha_u = alpha_v"
 MEDIAN_ALPHA_START = "frontal: alpha of the other views"
 NO_START = "none"
+
+_VIEWS_IN_BATCH = 8
+"""Number of views that one call of the program fits, for small data sets."""
 
 _MAX_ALPHA_RELATIVE_STD = 0.03
 """Largest relative standard deviation of alpha at which a view counts as determining it."""
@@ -249,12 +252,12 @@ def _fit_all_views(*by_view: Any) -> ViewFit:
     view_count, point_count = by_view[0].shape[:2]
     # A large data set is not padded and has programs of its own; hundreds of calls cost it a fifth.
     is_large = view_count * point_count > MAX_PADDED_OBSERVATIONS
-    if is_large or view_count % MIN_PADDED_COUNT or view_count == MIN_PADDED_COUNT:
+    if is_large or view_count % _VIEWS_IN_BATCH or view_count == _VIEWS_IN_BATCH:
         return _fit_views(*by_view)
     by_view = jax.tree.map(np.asarray, by_view)
     fits = []
-    for first in range(0, view_count, MIN_PADDED_COUNT):
-        batch = slice(first, first + MIN_PADDED_COUNT)
+    for first in range(0, view_count, _VIEWS_IN_BATCH):
+        batch = slice(first, first + _VIEWS_IN_BATCH)
         fits.append(_fit_views(*jax.tree.map(lambda x, batch=batch: x[batch], by_view)))
     return jax.tree.map(lambda *parts: to_device(np.concatenate(parts)), *fits)
 
