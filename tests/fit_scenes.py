@@ -6,10 +6,13 @@ import functools
 from smartview_jax.simulation import paper_points, random_scene
 
 VIEWS = 8
-"""As many as the programs for few views have room for."""
+"""Half as many as the programs for few views have room for."""
 
 MANY_VIEWS = 16
-"""Enough for a robot of unknown build to be tried, and for views to be left out."""
+"""Enough for a robot of unknown build to be tried, and for views to be left out.
+
+The programs are those for few views.
+"""
 
 POINTS = paper_points((0.0, 0.02))[::6]
 """Seven on each of two planes."""

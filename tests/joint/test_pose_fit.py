@@ -290,7 +290,7 @@ def test_a_data_set_of_poses_keeps_its_poses():
         host_matrices(part.camera_from_world), host_matrices(data.camera_from_world)[[3, 1]]
     )
     assert list(part.usable_views()) == [1]
-    assert part.observations.padded().visible.shape == (8, 3)
+    assert part.observations.padded().visible.shape == (16, 3)
     assert dataclasses.replace(part, notes=("x",)).covariance.shape == (2, 6, 6)
     assert WORLD.shape == (4, 4)
 
