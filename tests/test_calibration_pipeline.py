@@ -126,15 +126,17 @@ def test_what_is_rehearsed_is_the_fit_that_is_made(field, monkeypatch):
 
 
 def test_a_second_set_of_the_same_kind_is_not_rehearsed(monkeypatch):
-    """Its programs exist: only sets of other sizes, mounts, arms or options need others."""
+    """Its programs exist: only sets of other sizes, mounts, arms or options need others.
+
+    Sixteen views are padded to as many as eight, but a robot of unknown build is tried too.
+    """
     monkeypatch.setattr(sys.modules[needs_precompiling.__module__], "_precompiled", set())
     few, other, many = scene_of(0).data, scene_of(1).data, scene_of(0, MANY_VIEWS).data
     options = ("opencv4", None, "estimated", "auto")
     assert needs_precompiling(few, *options)
     assert not needs_precompiling(other, *options)
-    assert needs_precompiling(many, *options) == (
-        padded_counts(*many.visible.shape) != padded_counts(*few.visible.shape)
-    )
+    assert padded_counts(*many.visible.shape) == padded_counts(*few.visible.shape)
+    assert needs_precompiling(many, *options)
     assert needs_precompiling(few, "radial", *options[1:])
     assert needs_precompiling(few, *options[:-1], None)
     fixed_camera = dataclasses.replace(few, mount="eye_to_hand")

@@ -17,7 +17,7 @@ from ..engine import Noise, Prior, build_problem, solve
 from ..geometry import host_transforms
 from ..robot_errors import FieldChoice
 from ..runtime.padding import padded_counts
-from ..variance import encompassing_field
+from ..variance import MIN_GENERIC_ARM_VIEWS, encompassing_field
 
 _precompiled: set[Hashable] = set()
 """The kinds of data and options for which this process has precompiled."""
@@ -35,6 +35,8 @@ def needs_precompiling(data: Dataset, *options: Any) -> bool:
     kind = (
         type(data),
         padded_counts(*data.visible.shape),
+        # More views have more models of the robot's errors.
+        len(data.usable_views()) < MIN_GENERIC_ARM_VIEWS,
         data.mount,
         *(jax.tree.structure(part) for part in (data.arm, data.joints, data.depths, data.hands)),
         *(x if isinstance(x, str) else jax.tree.structure(x) for x in options),

@@ -6,6 +6,7 @@ from .likeliest_walk import LikeliestWalk as LikeliestWalk
 from .likeliest_walk import likeliest_walk as likeliest_walk
 from .likeliest_walk import walk_log_evidence as walk_log_evidence
 from .model_comparison import compare_models as compare_models
+from .model_selection import MIN_GENERIC_ARM_VIEWS as MIN_GENERIC_ARM_VIEWS
 from .model_selection import WHITE_NOISE as WHITE_NOISE
 from .model_selection import ModelName as ModelName
 from .model_selection import encompassing_field as encompassing_field

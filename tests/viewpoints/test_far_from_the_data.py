@@ -66,8 +66,8 @@ def test_the_expected_pose_belongs_to_the_command_where_the_inversion_stops_shor
     """Errors a thousand times as large shrink to a fifth in every step, not to nothing."""
     error = RobotError(FIELD, to_device(1e3 * COEFFICIENTS))
     # As many poses as a padded request, which has the same program.
-    wanted = SE3(np.tile(np.eye(7)[0], (8, 1)))
-    wanted.wxyz_xyz[:, 4] = REACH * np.linspace(0.2, 0.9, 8)
+    wanted = SE3(np.tile(np.eye(7)[0], (16, 1)))
+    wanted.wxyz_xyz[:, 4] = REACH * np.linspace(0.2, 0.9, 16)
     command, expected = error.expected_command(wanted)
     assert np.abs(expected.wxyz_xyz - wanted.wxyz_xyz).max() > 1e-9
     again = error.expected_pose(command)
