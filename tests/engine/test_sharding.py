@@ -34,8 +34,6 @@ def run(processes, devices_each):
         "XLA_FLAGS": f"{os.environ['XLA_FLAGS']} "
         f"--xla_force_host_platform_device_count={devices_each}",
         "JAX_PLATFORMS": "cpu",
-        # The first process compiles what both run.
-        "JAX_SHARE_BINARY_BETWEEN_HOSTS": "1",
         "PYTHONPATH": os.pathsep.join([str(HERE.parent), os.environ.get("PYTHONPATH", "")]),
     }
     started = [
