@@ -121,12 +121,12 @@ def flat_shape(
 def shape_to_dict(shape: TargetShape) -> dict[str, object]:
     """Return a shape as plain numbers, all in metres but the mean products."""
     return {
-        "centre": [float(x) for x in shape.centre],
+        "centre": np.asarray(shape.centre).tolist(),
         "half_size": float(shape.half_size),
-        "mean_products": [float(x) for x in shape.mean_products],
-        "coefficients": {
-            name: float(x) for name, x in zip(SHAPE_NAMES, shape.coefficients, strict=True)
-        },
+        "mean_products": np.asarray(shape.mean_products).tolist(),
+        "coefficients": dict(
+            zip(SHAPE_NAMES, np.asarray(shape.coefficients).tolist(), strict=True)
+        ),
     }
 
 

@@ -23,7 +23,7 @@ def print_document(subcommand: str, content: Mapping[str, Any]) -> None:
 def transform_document(transform: Any) -> dict[str, list[float]]:
     """Return a rigid transform (`jaxlie.SE3`) as calibration files have it: m, unit quaternion."""
     # jaxlie stores the quaternion first.
-    numbers = [float(x) for x in transform.wxyz_xyz]
+    numbers = np.asarray(transform.wxyz_xyz).tolist()
     return {"translation": numbers[4:], "quaternion_wxyz": numbers[:4]}
 
 

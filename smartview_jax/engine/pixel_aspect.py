@@ -109,7 +109,7 @@ class FittedAspects(NamedTuple):
 
 def joined_aspects(parts: Sequence[FittedAspects]) -> FittedAspects | None:
     """Return the cameras of several parts of a problem together; None if no ratio is fitted."""
-    if not any(np.any(part.fits_aspect) for part in parts):
+    if not any(np.asarray(part.fits_aspect).any() for part in parts):
         return None
     return FittedAspects(
         *(np.concatenate([np.asarray(x) for x in field]) for field in zip(*parts, strict=True))

@@ -132,8 +132,10 @@ class JointProblem(AbstractProblem):
     def number_count(self) -> int:
         """The number of measured numbers, as in `AbstractProblem`."""
         depths = self.seen_points.depths if self.has_depths else None
-        used = 0 if depths is None else int((depths.used & self.observations.visible).sum())
-        return 2 * self.visible_count + used
+        if depths is None:
+            return 2 * self.visible_count
+        used = np.asarray(depths.used) & np.asarray(self.observations.visible)
+        return 2 * self.visible_count + int(used.sum())
 
     @property
     def observation_count(self) -> int:

@@ -75,11 +75,12 @@ class BuiltRig(AbstractBuiltProblem):
         """Return the problem without the points that one camera saw in one view."""
         group = next(k for k, cameras in enumerate(self.cameras) if camera in cameras)
         row = self.cameras[group].index(camera)
-        seen = self.problem.groups[group].problems.observations.visible
+        seen = np.array(self.problem.groups[group].problems.observations.visible)
+        seen[row, view] = False
         return eqx.tree_at(
             lambda p: p.groups[group].problems.observations.visible,
             self.problem,
-            seen.at[row, view].set(False),
+            to_device(seen),
         )
 
 

@@ -37,7 +37,8 @@ class CameraGroup(HostModule):
         problems: the problem of each camera alone, stacked along a first axis; all shared
             parameters and all corrections are free, without priors.
         parameter_index: index among the rig's parameters of each of a camera's.
-        state_index: index of the robot's state in each view; the number of states for padding.
+        state_index: index of the robot's state in each view; for padding the number of states, at
+            which the solver may add one that no camera saw.
     """
 
     problems: JointProblem
@@ -108,8 +109,9 @@ class RigProblem(AbstractRigProblem):
         """Return `start_values`, computed with NumPy."""
         values = np.zeros(self.parameter_count)
         for group in self.groups:
+            of_cameras = jax.tree.map(np.asarray, group.problems.parameters)
             for camera, index in enumerate(np.asarray(group.parameter_index)):
-                parameters = jax.tree.map(lambda x, k=camera: x[k], group.problems.parameters)
+                parameters = jax.tree.map(lambda x, k=camera: x[k], of_cameras)
                 values[index] = parameters.values(np)
         return values
 

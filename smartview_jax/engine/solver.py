@@ -16,11 +16,12 @@ from jaxtyping import Array, Float
 
 from ..runtime.compilation import compiled
 from ..runtime.modules import with_fields
-from ..runtime.padding import host_without_padding, repeat_last
+from ..runtime.padding import host_without_padding, padded_counts, repeat_last
 from .abstract_problem import AbstractProblem, NormalEquations
 from .losses import Cauchy
 from .parameters import Step, host_step
 from .problem import JointProblem
+from .rig_problem import RigProblem
 from .structured_lm import (
     StructuredLM,
     gauss_newton_matrix,
@@ -33,6 +34,8 @@ from .structured_lm import (
 )
 
 _Problem = TypeVar("_Problem", bound=AbstractProblem)
+
+_Padded = TypeVar("_Padded", JointProblem, RigProblem)
 
 MIN_UNPADDED_OBSERVATIONS = 40_000
 """Smallest number of observations, visible or not, for which a problem is solved without padding.
@@ -115,7 +118,7 @@ def solve(
 
 
 def padded(problem: _Problem) -> _Problem:
-    """Pad a small problem with views, points and free parameters that have no effect.
+    """Pad a small problem with views or states, points and free parameters that have no effect.
 
     Small problems that differ in size, free parameters or loss, as within one calibration, then
     share a program, which takes far longer to compile than to run.
@@ -125,51 +128,78 @@ def padded(problem: _Problem) -> _Problem:
     size, count = problem.parameter_count, len(problem.free)
     free = np.concatenate([problem.free, np.full(size - count, size)])
     scale = np.concatenate([problem.scale.shared, np.ones(size - count)])
-    if not isinstance(problem, JointProblem):
-        # A rig's views and points are padded when it is built.
-        return with_fields(
-            problem, free=free, scale=host_step(scale, np.asarray(problem.scale.per_view))
-        )
+    problem = with_fields(
+        problem, free=free, scale=host_step(scale, np.asarray(problem.scale.per_view))
+    )
+    if isinstance(problem, RigProblem):
+        return _with_more_states(problem)
+    return _with_more_views(problem) if isinstance(problem, JointProblem) else problem
+
+
+def _with_more_states(problem: RigProblem) -> RigProblem:
+    """Pad a rig, whose views and points were padded when it was built, with unseen states."""
+    states = padded_counts(len(problem.per_view_free))[0]
+    roots = problem.correction_roots
+    return with_fields(
+        _with_more_corrections(problem, states),
+        command=repeat_last(problem.command, states),
+        correction_roots=None if roots is None else _padded_roots(problem, states),
+    )
+
+
+def _with_more_views(problem: JointProblem) -> JointProblem:
+    """Pad the problem of one camera with views and points."""
     loss = problem.loss
     if loss is None or isinstance(loss, Cauchy):
         # Least squares is the Cauchy loss of infinite scale.
         loss = with_fields(Cauchy(), scale=np.array(np.inf if loss is None else loss.scale))
     observations = problem.observations.padded()
     views = len(observations.visible)
-    # The corrections of added views, and of all views of a robot that is trusted, are held and
-    # without priors: with and without a model of noise the program is the same.
-    more_views = views - len(problem.per_view_free)
-
-    def with_zeros(per_view: Array) -> np.ndarray:
-        """Append zeros for the added corrections."""
-        return np.concatenate([per_view, np.zeros((more_views, 6), per_view.dtype)])
-
-    def padded_as_prior(step: Step) -> Step:
-        """Append zeros for the added corrections to a prior's mean or weight."""
-        return host_step(np.asarray(step.shared), with_zeros(step.per_view))
-
     return with_fields(
-        problem,
+        _with_more_corrections(problem, views),
         parameters=problem.parameters.with_aspect_flag,
         observations=observations,
         prepared_poses=repeat_last(problem.prepared_poses, views),
         correction_roots=_padded_roots(problem, views),
-        free=free,
-        per_view_free=with_zeros(problem.per_view_free),
-        prior_mean=padded_as_prior(problem.prior_mean),
-        prior_weight=padded_as_prior(problem.prior_weight),
-        scale=host_step(scale, np.concatenate([problem.scale.per_view, np.ones((more_views, 6))])),
         loss=loss,
     )
 
 
-def _padded_roots(problem: JointProblem, views: int) -> Float[np.ndarray, "views 6 6"]:
-    """Return each view's twist by its own parameters, for added views too.
+def _with_more_corrections(problem: _Padded, count: int) -> _Padded:
+    """Pad a problem with corrections of views, or of states, that are held and without priors.
+
+    All corrections of a robot that is trusted are added, so with and without a model of noise the
+    program is the same.
+    """
+    added = count - len(problem.per_view_free)
+
+    def padded_per_view(per_view: Any, value: float = 0.0) -> np.ndarray:
+        """Append rows of a value for the added corrections."""
+        per_view = np.asarray(per_view)
+        return np.concatenate([per_view, np.full((added, 6), value, per_view.dtype)])
+
+    def padded_step_of(step: Step, value: float = 0.0) -> Step:
+        """Append them to a prior's mean or weight, or to a scale."""
+        return host_step(np.asarray(step.shared), padded_per_view(step.per_view, value))
+
+    return with_fields(
+        problem,
+        per_view_free=padded_per_view(problem.per_view_free),
+        prior_mean=padded_step_of(problem.prior_mean),
+        prior_weight=padded_step_of(problem.prior_weight),
+        scale=padded_step_of(problem.scale, 1.0),
+    )
+
+
+def _padded_roots(
+    problem: JointProblem | RigProblem, count: int
+) -> Float[np.ndarray, "corrections 6 6"]:
+    """Return each correction's twist by its own parameters, for added corrections too.
 
     Where these are the twist itself they become the identity, so that fits with and without errors
     along directions share a program.
     """
-    roots = np.tile(np.eye(6), (views, 1, 1))
+    roots = np.tile(np.eye(6), (count, 1, 1))
     if problem.correction_roots is not None:
         roots[: len(problem.correction_roots)] = problem.correction_roots
     return roots

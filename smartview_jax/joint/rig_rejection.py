@@ -6,14 +6,12 @@ another state, its camera alone does.
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.special import chdtrc
 
 from ..dataset import MINIMUM_RELIABLE_VIEWS, Rig
-from ..engine import BlockArrow, BuiltRig, RigProblem, Step, solve
-from ..runtime.array_namespace import to_device
+from ..engine import BlockArrow, BuiltRig, RigProblem, Step, padded, padded_step, solve
 from ..runtime.compilation import compiled
 from .consistent_views import FALSE_ALARM_PROBABILITY
 from .influence import pose_outlier_test
@@ -106,7 +104,8 @@ def _worst_state(
 
 def _distances_by_view(built: BuiltRig, z: Step) -> dict[str, Float[np.ndarray, "views"]]:
     """Return the distance of each camera's views from what all others say (`view_distances`)."""
-    by_group = _view_distances(built.problem, jax.tree.map(to_device, z))
+    problem = padded(built.problem)
+    by_group = _view_distances(problem, padded_step(z, problem))
     return {
         name: np.nan_to_num(np.asarray(distances)[row])
         for cameras, distances in zip(built.cameras, by_group, strict=True)

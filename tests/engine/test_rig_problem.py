@@ -3,8 +3,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from depth_scene import depth_scene
-from fit_scenes import scene_of
+from fit_scenes import VIEWS, scene_of
 from jax.flatten_util import ravel_pytree
+from programs import programs_added
 from scipy_optimum import residuals_and_jacobian, scipy_optimum
 from starts import nudged
 
@@ -17,17 +18,40 @@ NOISE = Noise(0.15, 1e-4, 2e-4)
 """Noise of the scene below, as stated."""
 
 
-@pytest.fixture(scope="module")
-def pair():
-    """The problem of an arm that carries two cameras at one place, with lenses of two kinds.
+def built_rig(states):
+    """An arm that carries two cameras at one place, with lenses of two kinds.
 
     The left one measures depths too.
     """
     scene = depth_scene(0, translation_noise=1e-4)
     start = nudged(paper_calibration())
     starts = {"left": start, "right": with_lens(start, "opencv4")}
-    rig = Rig({"left": scene.data.with_depths(scene.depths), "right": scene.data})
-    return build_rig(rig, starts, noise=NOISE).problem
+    cameras = {"left": scene.data.with_depths(scene.depths), "right": scene.data}
+    rig = Rig({name: data.select(range(states)) for name, data in cameras.items()})
+    return build_rig(rig, starts, noise=NOISE)
+
+
+@pytest.fixture(scope="module")
+def built():
+    """With all states of the scene."""
+    return built_rig(VIEWS)
+
+
+@pytest.fixture(scope="module")
+def pair(built):
+    """Its problem."""
+    return built.problem
+
+
+def test_sizes_and_values_at_the_start_need_no_programs(built):
+    """Each would be compiled for the shapes of this rig: a second at the first fit of a process."""
+    with programs_added() as added:
+        start, fewer = built.problem.host_start_values(), built.without_view("right", 2)
+        fewer.fitted_aspects  # noqa: B018 (the property is what is tried)
+        numbers = built.problem.number_count - fewer.number_count
+    assert not added
+    np.testing.assert_allclose(start, built.problem.start_values(), rtol=1e-12)
+    assert numbers == 2 * np.asarray(scene_of(0, translation_noise=1e-4).data.visible)[2].sum()
 
 
 def test_depths_count_as_measured_numbers(pair):
@@ -45,6 +69,20 @@ def test_scipy_finds_the_same_optimum(pair):
     assert found.cost == pytest.approx(solution.costs[-1], rel=1e-9)
     by_scipy = unravel(jnp.asarray(found.x))
     np.testing.assert_allclose(by_scipy.per_view, solution.z.per_view, atol=1e-8)
+
+
+def test_rigs_with_another_number_of_states_share_a_program(pair):
+    """As after a state is left out; the states that are added change no result."""
+    solve(pair)
+    fewer = built_rig(VIEWS - 2).problem
+    with programs_added() as added:
+        solution, equations = solve(fewer)
+    assert not added
+    assert solution.z.per_view.shape == (VIEWS - 2, 6)
+    assert equations.matrix.per_view.shape == (VIEWS - 2, 6, 6)
+    unpadded = fewer.normal_equations(jax.tree.map(jnp.asarray, solution.z))
+    np.testing.assert_allclose(equations.cost, unpadded.cost, rtol=1e-9)
+    np.testing.assert_allclose(equations.matrix.border, unpadded.matrix.border, rtol=1e-6, atol=1.0)
 
 
 def test_the_gradient_is_the_derivative_of_the_cost(pair):
