@@ -214,6 +214,7 @@ class _Chain(NamedTuple):
         """Return the likeliest share by which a joint turns with a reading, the last number."""
         turned, stds = self.readings.copy(), np.append(self.stds, SHARE_STDS)
         numbers = np.zeros(2)
+        fit = None
         for _ in range(MAX_STEPS):
             errors, common, motion = self.linearised(turned)
             columns = self.columns(motion, joint, reading)
@@ -224,6 +225,7 @@ class _Chain(NamedTuple):
             turned[:, joint] += step[0] + step[1] * self._about_mean(reading)
             if abs(step[1]) < MAX_STEP_OF_STD * fit.std:
                 break
+        assert fit is not None
         return fit
 
     def _about_mean(self, reading: int) -> Float[np.ndarray, "views"]:

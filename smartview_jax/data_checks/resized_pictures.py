@@ -65,7 +65,8 @@ class TwoCameras(NamedTuple):
     def divided_by_robot(self, robot: Poses) -> "TwoCameras":
         """Return the division in which each view has the camera with which it fits the robot.
 
-        The second camera took the smaller part, or the pictures that a known camera did not.
+        The second camera took the smaller part, of equal ones the later, or the pictures that a
+        known camera did not.
         """
         parts = self
         for _ in range(MAX_DIVISIONS):
@@ -77,7 +78,8 @@ class TwoCameras(NamedTuple):
             if (parts.of_second == (second < first)).all():
                 break
             parts = parts._replace(of_second=second < first)
-        if not self.is_first_known and 2 * parts.of_second.sum() > len(robot):
+        # Of two halves the one with the first view is as large as the larger part.
+        if not self.is_first_known and 2 * parts.of_second.sum() + parts.of_second[0] > len(robot):
             first, second = parts.cameras
             return TwoCameras((second, first), parts.seen[::-1], ~parts.of_second)
         return parts
