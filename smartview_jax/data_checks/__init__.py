@@ -5,12 +5,13 @@
 alike (`conventions.py`, with the usual mistakes in `mistakes.py`, `misread_angles.py`,
 `length_units.py` and `joint_mistakes.py`, judged by `rotation_angles.py` and by the closure of
 motions, `closure.py`; `pairing.py` tells inaccurate poses from wrong ones) and tell a wrong mount
-at all (`inverted_poses.py`), whether the arm is another (`other_arm.py`), whether the set-up
-changed between two views (`changes.py`) or drifts (`set_up_drift.py`, beyond the errors of
-`smooth_errors.py`), the poses lag (`pose_lag.py`, by the fit in `lag_fit.py`), the views agree in
-groups (`view_groups.py`) or the focus changes (`focus_changes.py`; `faults_of_many_views.py` asks
-all five; positions alone are linear, `position_equations.py`), whether pictures of some views were
-resized (`resized_pictures.py`), turned or mirrored (`picture_turns.py`), whether the target bends
+at all (`inverted_poses.py`), whether the arm is another (`other_arm.py`) or a joint turns by
+another angle than reported (`joint_ratios.py`), whether the set-up changed between two views
+(`changes.py`) or drifts (`set_up_drift.py`, beyond the errors of `smooth_errors.py`), the poses lag
+(`pose_lag.py`, by the fit in `lag_fit.py`), the views agree in groups (`view_groups.py`) or the
+focus changes (`focus_changes.py`; `faults_of_many_views.py` asks all five; positions alone are
+linear, `position_equations.py`), whether pictures of some views were resized
+(`resized_pictures.py`), turned or mirrored (`picture_turns.py`), whether the target bends
 (`flexible_target.py`), and which single views are numbered wrongly (`shifted_numbering.py`) or
 contradict the others (`view_consistency.py`). All judge by transforms of their own
 (`transform_fit.py`), some by transforms of the views that agree (`largest_group.py`) or by the odds

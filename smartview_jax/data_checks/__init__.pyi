@@ -23,6 +23,8 @@ from .inverted_poses import both_inverted_doubt as both_inverted_doubt
 from .joint_mistakes import OTHER_ARM_RATIO as OTHER_ARM_RATIO
 from .joint_mistakes import OTHER_ARM_TEXT as OTHER_ARM_TEXT
 from .joint_mistakes import joint_problem as joint_problem
+from .joint_ratios import JointShare as JointShare
+from .joint_ratios import find_joint_share as find_joint_share
 from .length_units import mistaken_unit as mistaken_unit
 from .other_arm import find_other_arm as find_other_arm
 from .pose_lag import PoseLag as PoseLag
@@ -42,6 +44,7 @@ from .set_up_drift import find_drift as find_drift
 from .shifted_numbering import find_shifted_numbering as find_shifted_numbering
 from .shifted_numbering import shift_text as shift_text
 from .stuck_joints import stuck_joints as stuck_joints
+from .target_checks import DETECTION_NOISE as DETECTION_NOISE
 from .target_checks import collinear_views as collinear_views
 from .target_checks import mismatched_views as mismatched_views
 from .usable_views import MINIMUM_POINTS as MINIMUM_POINTS

@@ -10,6 +10,10 @@ pictures were mirrored, the other side agrees by one transform once its poses ar
 
 A change is named if it is likely (`misfit_evidence.py`) and large. It is large if it explains more
 than all else together: by a size s half-way, it leaves s / 2 in every view of a fit to all of them.
+In many views a smaller knock of the camera may be certain, though it is less than the robot's noise
+in each of them, and it displaces the answer by more than that noise does. So a move of the camera
+that is very likely needs no size. Other changes do: depths err with the lens and the target's size
+as well, and the tilt of a flat target errs about an axis of its own.
 """
 
 import dataclasses
@@ -23,7 +27,7 @@ from jaxtyping import Bool, Float
 
 from ..geometry import mean_matrix
 from .closure import MAX_CLOSURE_SCORE, Poses, contradicts_calibration, explains_most
-from .misfit_evidence import STRONG_EVIDENCE, errors_of, evidence
+from .misfit_evidence import STRONG_EVIDENCE, VERY_STRONG_EVIDENCE, errors_of, evidence
 from .picture_turns import MIRRORED, PictureTurn, mirrored_poses, turn_of_change
 from .transform_fit import (
     TransformFit,
@@ -45,7 +49,8 @@ class ChangeOptions:
     """Say where a change is looked for, and which one is named.
 
     Attributes:
-        min_odds: smallest odds of a change that is named.
+        min_odds: smallest odds of a large change that is named.
+        min_odds_of_any_size: the same of a move of the camera of any size.
         min_views_on_a_side: fewest views before and after a change. Of six good views of a real
             arm, three may agree with a moved camera by chance.
         max_rival_ratio: ratio to the smallest misfit up to which another kind of change explains
@@ -57,6 +62,7 @@ class ChangeOptions:
     """
 
     min_odds: float = STRONG_EVIDENCE
+    min_odds_of_any_size: float = VERY_STRONG_EVIDENCE
     min_views_on_a_side: int = 4
     max_rival_ratio: float = 2.0
     min_score: float = 2e-3
@@ -68,6 +74,13 @@ class ChangeOptions:
                 "ChangeOptions.max_tried_places: expected at least three, which narrow a search, "
                 f"found {self.max_tried_places}"
             )
+
+    def are_met_by(self, change: "Change") -> bool:
+        """Return whether a change is likely and large, or very likely, so that it is named."""
+        is_certain = change.evidence > 2.0 * np.log(self.min_odds_of_any_size)
+        if change.kind == "camera" and is_certain:
+            return True
+        return change.evidence > 2.0 * np.log(self.min_odds) and 0.5 * change.size > change.score
 
 
 class Change(NamedTuple):
@@ -197,11 +210,7 @@ def find_change(
     best_of_kind: dict[str, Change] = {}
     for change in sorted(chain.from_iterable(tried.values()), key=lambda change: change.score):
         best_of_kind.setdefault(change.kind, change)
-    named = [
-        change
-        for change in best_of_kind.values()
-        if change.evidence > 2.0 * np.log(options.min_odds) and 0.5 * change.size > change.score
-    ]
+    named = [change for change in best_of_kind.values() if options.are_met_by(change)]
     if not named:
         return None
     changes = tuple(

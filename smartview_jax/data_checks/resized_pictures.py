@@ -25,9 +25,13 @@ from .transform_fit import (
     misfit_text,
     motions_from_camera_to_target,
 )
+from .view_consistency import MAX_REJECTED_FRACTION
 
 CAMERA_NUMBERS = 5
 """Numbers by which two cameras differ: two focal lengths, the centre, a distortion."""
+
+RESIZING_NUMBERS = 3
+"""Numbers by which resized pictures differ from a known camera's: their size and shift."""
 
 MAX_DIVISIONS = 5
 """Largest number of times the views are divided again by the transforms of the last division."""
@@ -40,15 +44,18 @@ class TwoCameras(NamedTuple):
         cameras: the two cameras.
         seen: `camera_from_world` with each of them.
         of_second: mask of the views that the second camera took.
+        is_first_known: whether the first camera is known and the second one is the same with
+            another size and shift of its pictures.
     """
 
     cameras: tuple[Camera, Camera]
     seen: Float[np.ndarray, "2 views 4 4"]
     of_second: Bool[np.ndarray, "views"]
+    is_first_known: bool = False
 
     def of_views(self, used: Bool[np.ndarray, "views"]) -> "TwoCameras":
         """Return the same with some of the views."""
-        return TwoCameras(self.cameras, self.seen[:, used], self.of_second[used])
+        return self._replace(seen=self.seen[:, used], of_second=self.of_second[used])
 
     @property
     def camera_from_world(self) -> Poses:
@@ -58,7 +65,8 @@ class TwoCameras(NamedTuple):
     def divided_by_robot(self, robot: Poses) -> "TwoCameras":
         """Return the division in which each view has the camera with which it fits the robot.
 
-        The second camera took the smaller part.
+        The second camera took the smaller part, of equal ones the later, or the pictures that a
+        known camera did not.
         """
         parts = self
         for _ in range(MAX_DIVISIONS):
@@ -70,7 +78,8 @@ class TwoCameras(NamedTuple):
             if (parts.of_second == (second < first)).all():
                 break
             parts = parts._replace(of_second=second < first)
-        if 2 * parts.of_second.sum() > len(robot):
+        # Of two halves the one with the first view is as large as the larger part.
+        if not self.is_first_known and 2 * parts.of_second.sum() + parts.of_second[0] > len(robot):
             first, second = parts.cameras
             return TwoCameras((second, first), parts.seen[::-1], ~parts.of_second)
         return parts
@@ -104,6 +113,8 @@ class ResizedPictures(NamedTuple):
         misfit, given_misfit: mean misfit over all views with two cameras and with one, m and rad.
         score, given_score: rotation plus translation over the distance to the target, in the same
             two cases.
+        can_be_left_out: whether the camera of the other views, which are most, is known. Nothing
+            is wrong then with a calibration by them alone.
     """
 
     views: tuple[int, ...]
@@ -114,11 +125,12 @@ class ResizedPictures(NamedTuple):
     given_misfit: tuple[float, float]
     score: float
     given_score: float
+    can_be_left_out: bool = False
 
     @property
     def contradicts(self) -> bool:
-        """Whether no calibration can be right for all of the views."""
-        return contradicts_calibration(self.score, self.given_score)
+        """Whether no calibration can be right with so many of the views."""
+        return not self.can_be_left_out and contradicts_calibration(self.score, self.given_score)
 
     def sentence(self, view_ids: Sequence[str]) -> str:
         """Return in words which pictures differ, how, and what to do.
@@ -127,11 +139,12 @@ class ResizedPictures(NamedTuple):
             view_ids: names of the views.
         """
         names = [view_ids[view] for view in self.views]
+        across, down = map(round, self.shift)
         where = f"from view {names[0]} on" if self.is_later_part else f"in {listed_views(names)}"
         return (
             f"{where}, the pictures contradict the others, as if they had been resized by a factor "
-            f"of {self.size:.3f} and then shifted by ({self.shift[0]:.0f}, {self.shift[1]:.0f}) "
-            "px: with a camera for each of the two parts, robot and camera agree to "
+            f"of {self.size:.3f} and then shifted by ({across}, {down}) px: "
+            "with a camera for each of the two parts, robot and camera agree to "
             f"{misfit_text(self.misfit)} instead of {misfit_text(self.given_misfit)} (means over "
             "the views). Were pictures binned, resized or cut, or did zoom or focus change? Use "
             "pictures of one kind, or calibrate the two parts separately"
@@ -163,7 +176,8 @@ def find_resized_pictures(
     (given, given_distance), (corrected, distance) = (
         _closure(robot, seen) for seen in (one_camera, parts.camera_from_world)
     )
-    odds = evidence(errors_of(given), errors_of(corrected), CAMERA_NUMBERS)
+    numbers = RESIZING_NUMBERS if parts.is_first_known else CAMERA_NUMBERS
+    odds = evidence(errors_of(given), errors_of(corrected), numbers)
     # The part may begin at any view, or each view may be of either part.
     odds -= 2.0 * (np.log(len(views)) if parts.is_later_part else len(views) * np.log(2.0))
     if odds < 2.0 * np.log(VERY_STRONG_EVIDENCE):
@@ -178,6 +192,7 @@ def find_resized_pictures(
         given_misfit,
         score,
         given_score,
+        parts.is_first_known and parts.of_second.sum() <= MAX_REJECTED_FRACTION * len(views),
     )
 
 

@@ -3,9 +3,11 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..runtime.compilation import one_program
 from .serial_arm import SerialArm, chain_frames
 
 
+@one_program
 def gravity_loads(
     arm: SerialArm, joints: Float[Array, "*views joints"]
 ) -> Float[Array, "*views joints"]:

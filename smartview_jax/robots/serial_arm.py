@@ -167,6 +167,7 @@ def _screw(rotation: SO3, distance: Float[Array, "*views"], axis: int) -> SE3:
     return SE3.from_rotation_and_translation(rotation, jnp.stack(components, axis=-1))
 
 
+@one_program
 def dh_jacobian(
     arm: SerialArm, joints: Float[Array, "*views joints"]
 ) -> Float[Array, "*views 6 rows joints"]:

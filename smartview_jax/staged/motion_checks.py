@@ -21,6 +21,7 @@ from ..data_checks import (
     SharedFault,
     check_conventions,
     detection_findings,
+    find_joint_share,
     find_other_arm,
     find_shared_fault,
     find_shifted_numbering,
@@ -33,7 +34,7 @@ from ..data_checks import (
 )
 from ..dataset import Dataset, contradictory_views, repeated_pose_reason
 from .common_camera import PictureFit
-from .picture_parts import resized_pictures
+from .picture_parts import has_views_of_other_camera, resized_pictures
 from .picture_steps import pixel_noise
 from .two_poses import PoseChoice, choose_poses
 
@@ -224,8 +225,9 @@ def _with_fault_of_many_views(
             pixel_noise(pictures.common),
         )
         poses = poses._replace(distances=distances)
-    fault, resized = find_shared_fault(poses, pictures.used), None
-    if fault is not None or report.is_contradicted or misfit is not None:
+    fault, resized = _shared_fault(data, poses, pictures.used), None
+    is_doubtful = fault is not None or report.is_contradicted or misfit is not None
+    if is_doubtful or has_views_of_other_camera(pictures):
         first_view = 0 if fault is None else fault.first_view
         resized = resized_pictures(pictures, data.mount_from_holder, first_view, misfit)
     if resized is not None and fault is not None and fault.score <= resized.score:
@@ -238,3 +240,16 @@ def _with_fault_of_many_views(
     if fault.contradicts:
         report = report._replace(problems=(fault.sentence,), inaccuracy="")
     return report, resized
+
+
+def _shared_fault(data: Dataset, poses: RobotAndCamera, used: np.ndarray) -> SharedFault | None:
+    """Return the fault of many views that explains them best, also one of a joint where known."""
+    fault = find_shared_fault(poses, used)
+    if data.joints is None or data.arm is None:
+        return fault
+    joint = find_joint_share(
+        np.asarray(data.joints), data.arm, poses.camera_from_world, data.mount, used
+    )
+    if joint is None or (fault is not None and fault.score <= joint.score):
+        return fault
+    return SharedFault(joint.sentence, joint.contradicts, True, score=joint.score)

@@ -2,7 +2,8 @@
 
 A first camera is fitted to views that agree with each other, and a second one to the views that the
 first does not fit. A picture that shows the target from the front fits both, so that in the end
-each view is of the camera with which it agrees with the robot.
+each view is of the camera with which it agrees with the robot. A known camera is the first one, and
+the second one is the same with another size and shift of its pictures.
 """
 
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from ..runtime.array_namespace import to_device
 from ..runtime.modules import with_fields
 from .common_camera import PictureFit
 from .picture_steps import Step1, run_step1, start_of_step2
+from .resized_camera import fit_resized_camera
 
 MIN_VIEWS = 4
 """Smallest number of views of a part: three may be fitted by many cameras."""
@@ -42,14 +44,17 @@ def resized_pictures(
         first_view: index of the first view after a change that robot and camera tell; 0 for none.
         misfit: how badly one camera fits all views; None if it fits.
     """
-    if pictures.step1.calibrations is None:
-        return None
+    if pictures.steps.camera is None:
+        masks = _agreeing_views(pictures, first_view)
+        pairs = [_two_cameras(pictures, agreeing, misfit) for agreeing in masks]
+    else:
+        pairs = [_known_and_resized(pictures, pictures.steps.camera)]
     reports = (
         find_resized_pictures(
             mount_from_holder, pictures.common.camera_from_world, pictures.used, cameras
         )
-        for agreeing in _agreeing_views(pictures, first_view)
-        if (cameras := _two_cameras(pictures, agreeing, misfit)) is not None
+        for cameras in pairs
+        if cameras is not None
     )
     named = [report for report in reports if report is not None]
     return min(named, key=lambda report: report.score, default=None)
@@ -88,8 +93,46 @@ def _two_cameras(
     rms = np.median(np.fmin(seen.rms, seen_by_other.rms)[pictures.used])
     if misfit is not None and not misfit.is_answered_by(float(rms / np.sqrt(2.0))):
         return None
-    poses = [host_matrices(step.camera_from_world) for step in (seen, seen_by_other)]
-    return TwoCameras((camera, other_camera), np.stack(poses), others)
+    return _divided((camera, other_camera), (seen, seen_by_other), others)
+
+
+def has_views_of_other_camera(pictures: PictureFit) -> bool:
+    """Return whether a known camera fits some of the views far worse than most."""
+    return pictures.steps.camera is not None and bool(_unlike_most(pictures).any())
+
+
+def _unlike_most(pictures: PictureFit) -> Bool[np.ndarray, "views"]:
+    """Return the views that a known camera fits far worse than the half that it fits best."""
+    used, rms = pictures.used, pictures.step1.rms
+    best = np.sort(rms[used])[: max(np.count_nonzero(used) // 2, MIN_VIEWS)]
+    return used & ~(rms <= MAX_RMS_RATIO * np.median(best))
+
+
+def _known_and_resized(pictures: PictureFit, known: Camera) -> TwoCameras | None:
+    """Return a known camera, and the same for the views that it does not fit, resized and shifted.
+
+    Returns:
+        None if the known camera fits all views.
+    """
+    others = _unlike_most(pictures)
+    if not others.any():
+        return None
+    resized = fit_resized_camera(known, pictures.observations, others, pictures.steps.lens)
+    seen_by_other = run_step1(
+        pictures.observations, known.image_size, pictures.used, pictures.steps.lens, resized
+    )
+    return _divided((known, resized), (pictures.step1, seen_by_other), others, True)
+
+
+def _divided(
+    cameras: tuple[Camera, Camera],
+    seen: tuple[Step1, Step1],
+    of_second: Bool[np.ndarray, "views"],
+    is_first_known: bool = False,
+) -> TwoCameras:
+    """Return both cameras with the poses of the views by either; see `TwoCameras`."""
+    poses = np.stack([host_matrices(step.camera_from_world) for step in seen])
+    return TwoCameras(cameras, poses, of_second, is_first_known)
 
 
 def _camera_of(pictures: PictureFit, part: Bool[np.ndarray, "views"]) -> tuple[Camera, Step1]:

@@ -118,9 +118,28 @@ def test_another_size_of_the_target_hides_no_change():
     robot, camera = motions(camera_knock=KNOCK)
     larger = host_matrices(robot).copy()
     larger[:, :3, 3] /= 1.3
-    assert find_change(as_se3(larger), camera, EVERY_VIEW) is None
-    report = find_change(as_se3(larger), camera, EVERY_VIEW, length_ratio=1.3)
-    assert report.changes[0].first_view == FIRST_CHANGED
+    with_size, with_both = (
+        find_change(as_se3(larger), camera, EVERY_VIEW, length_ratio=ratio) for ratio in (1.0, 1.3)
+    )
+    for report in (with_size, with_both):
+        assert report.changes[0].first_view == FIRST_CHANGED
+    assert with_both.explains_most
+    assert not with_size.explains_most
+
+
+def test_a_knock_below_the_noise_of_a_view_is_named_in_many_views():
+    """It moves the camera by 5 mm; the noise in a view is 1.7 mm and 0.35 degrees long."""
+    noise = (1e-3, 0.2)
+    for seed in range(3):
+        knock = np.stack([transform([0, 0, 0], [5e-3 * (k >= 20), 0, 0]) for k in range(40)])
+        robot, camera = moving_alike(seed, noise=noise, views=40)
+        knocked = as_se3(knock @ camera)
+        every_view = np.ones(40, dtype=bool)
+        assert find_change(as_se3(robot), as_se3(camera), every_view) is None
+        change = find_change(as_se3(robot), knocked, every_view).changes[0]
+        assert change.kind == "camera"
+        assert abs(change.first_view - 20) <= 1
+        assert change.translation == pytest.approx(5e-3, abs=1.5e-3)
 
 
 def test_few_views_and_unused_ones_say_nothing():

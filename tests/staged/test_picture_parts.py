@@ -4,6 +4,7 @@ OpenCV's projection and SciPy's rotations make the views.
 """
 
 import dataclasses
+import re
 
 import cv2
 import jax.numpy as jnp
@@ -12,11 +13,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from smartview_jax import Dataset
+from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.geometry import as_se3, host_matrices
 from smartview_jax.staged import fit_staged
 
 VIEWS = 12
 VIEW = np.arange(VIEWS)
+KNOWN = Camera(900.0, 900.0, 640.0, 480.0, Pinhole(), (1280, 960))
 
 
 def transform(turn, shift):
@@ -24,6 +27,13 @@ def transform(turn, shift):
     matrix[:3, :3] = Rotation.from_rotvec(turn, degrees=True).as_matrix()
     matrix[:3, 3] = shift
     return matrix
+
+
+def with_resized(data, changed, size, shift):
+    """The data with the pictures of some views resized, and then shifted by so many px."""
+    pixels = np.array(data.pixels)
+    pixels[changed] = size * (pixels[changed] + 0.5) - 0.5 + shift
+    return dataclasses.replace(data, pixels=jnp.asarray(pixels))
 
 
 @pytest.fixture(scope="module")
@@ -55,14 +65,32 @@ def board_views():
     ("changed", "size", "shift", "text"),
     [
         (VIEW >= 7, 0.5, 0.0, r"from view 7 on, .* a factor of 0\.50\d and .* \(-?[01], -?[01]\)"),
-        (VIEW % 3 == 1, 1.0, -90.0, r"in views 1, 4, 7, 10, .* \(-9\d, -9\d\) px"),
+        (VIEW % 3 == 1, 1.0, -90.0, r"in views 1, 4, 7, 10, .* \(-(89|9\d), -(89|9\d)\) px"),
     ],
 )
-def test_resized_and_cut_pictures_are_named(board_views, changed, size, shift, text):
-    pixels = np.array(board_views.pixels)
-    pixels[changed] = size * (pixels[changed] + 0.5) - 0.5 + shift
+@pytest.mark.parametrize("camera", [None, KNOWN])
+def test_resized_and_cut_pictures_are_named(board_views, changed, size, shift, text, camera):
+    data = with_resized(board_views, changed, size, shift)
     with pytest.raises(ValueError, match=f"^{text}"):
-        fit_staged(dataclasses.replace(board_views, pixels=jnp.asarray(pixels)))
+        fit_staged(data, camera=camera)
+
+
+def test_a_resized_picture_of_a_known_camera_is_named_and_left_out(board_views):
+    data = with_resized(board_views, VIEW == 8, 0.5, 0.0)
+    # Next to the arm: the target's poses in the hand are the inverse ones.
+    data = dataclasses.replace(
+        data, mount="eye_to_hand", base_from_tool=data.base_from_tool.inverse()
+    )
+    staged = fit_staged(data, camera=KNOWN)
+    named = [text for text in staged.warnings if "the pictures contradict the others" in text]
+    assert re.match(r"in view 8, .* by a factor of 0\.50\d ", named[0])
+    assert [view.view for view in staged.rejected if view.point is None] == ["8"]
+
+
+def test_nothing_is_said_of_pictures_of_the_known_camera(board_views):
+    staged = fit_staged(board_views, camera=KNOWN)
+    assert staged.warnings == ()
+    assert staged.conventions.change == ""
 
 
 def test_a_knocked_camera_has_no_other_pictures(board_views):
