@@ -77,10 +77,11 @@ class ChangeOptions:
 
     def are_met_by(self, change: "Change") -> bool:
         """Return whether a change is likely and large, or very likely, so that it is named."""
-        is_certain = change.evidence > 2.0 * np.log(self.min_odds_of_any_size)
-        if change.kind == "camera" and is_certain:
-            return True
-        return change.evidence > 2.0 * np.log(self.min_odds) and 0.5 * change.size > change.score
+        logarithm = 0.5 * change.evidence
+        is_certain = logarithm > np.log(self.min_odds_of_any_size)
+        is_large = 0.5 * change.size > change.score
+        is_named = logarithm > np.log(self.min_odds) and is_large
+        return bool(is_named or (change.kind == "camera" and is_certain))
 
 
 class Change(NamedTuple):
