@@ -25,7 +25,6 @@ from smartview_jax.localization import (
     localize,
     next_view,
 )
-from smartview_jax.localization.edges.edge_lines import MODEL_SIGMA
 from smartview_jax.localization.refining.pose_equations import line_equations
 from smartview_jax.localization.refining.refinement import measured_lines
 from smartview_jax.modeling import CalibrationUncertainty, ObjectModel, SeenViews
@@ -224,9 +223,8 @@ def bound_covariance(
     lines = measured_lines(wireframe, views, lookup, world_from_object, BOUND_RADIUS)
     exact = CalibrationUncertainty.none(views)
     equations = line_equations(lines, model, wireframe, views, world_from_object, exact)
-    # What the fit allows a whole edge to be off is no noise of its points.
     # Of the two numbers of an edge both have the noise of its points, independently.
-    of_points = np.diagonal(equations.noise)[::2] - MODEL_SIGMA**2
+    of_points = np.diagonal(equations.noise)[::2]
     of_grain = (grain / np.maximum(lines.strength[lines.measured], 1e-3)) ** 2
     variances = np.repeat(np.maximum(of_points, 1e-8) + of_grain, 2)
     J = equations.by_pose

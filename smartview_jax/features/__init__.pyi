@@ -7,6 +7,8 @@ from .ellipses import EllipseOptions as EllipseOptions
 from .ellipses import find_ellipses as find_ellipses
 from .features import Features as Features
 from .features import find as find
+from .gradient import BORDER as BORDER
+from .gradient import MIN_GRADIENT_SIGMA as MIN_GRADIENT_SIGMA
 from .gradient import SMOOTHED_LENGTH as SMOOTHED_LENGTH
 from .gradient import SMOOTHING as SMOOTHING
 from .groups import grouped_indices as grouped_indices

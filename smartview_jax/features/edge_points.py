@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..cameras import Camera
-from .gradient import Gradient
+from .gradient import BORDER, Gradient
 from .picture_checks import grey_levels
 
 LOW_GATE, HIGH_GATE = 4.0, 9.0
@@ -54,8 +54,9 @@ def edge_points_above(gradient: Gradient, gate: float) -> EdgePoints:
     """Return all peaks of the gradient that exceed a gate, in standard deviations of its noise."""
     magnitude = gradient.magnitude
     is_strong = magnitude > gate * gradient.sigma
-    # At the picture's border there is no neighbour on one side.
-    is_strong[[0, -1], :] = is_strong[:, [0, -1]] = False
+    inside = np.zeros_like(is_strong)
+    inside[BORDER:-BORDER, BORDER:-BORDER] = True
+    is_strong &= inside
     row, column, shift, along_u = _peaks(gradient, *np.nonzero(is_strong))
     pixels = np.column_stack([column, row]).astype(float)
     pixels[np.arange(len(row)), np.where(along_u, 0, 1)] += shift

@@ -22,6 +22,16 @@ MIN_NOISE = 0.6
 Rounding to whole levels alone gives 0.3, and saturated regions have no noise.
 """
 
+GRADIENT_OF_NOISE = 1.0 / (float(np.sqrt(8.0 * np.pi)) * SMOOTHING**2)
+"""Standard deviation of the gradient's noise over the standard deviation of white noise, 1/px."""
+
+MIN_GRADIENT_SIGMA = GRADIENT_OF_NOISE * MIN_NOISE
+"""Smallest standard deviation of the gradient's noise, grey levels per px."""
+
+BORDER = int(np.ceil(3.0 * SMOOTHING))
+"""Width of the picture's border, px, where smoothing reaches over it: there the picture goes on by
+a guess, which turns the edges that cross it."""
+
 
 class Gradient(NamedTuple):
     """The gradient of a smoothed picture, grey levels per px.
@@ -51,8 +61,7 @@ class Gradient(NamedTuple):
         slope /= (x * slope).sum()
         by_u = cv2.sepFilter2D(grey, -1, slope, smooth, borderType=cv2.BORDER_REPLICATE)
         by_v = cv2.sepFilter2D(grey, -1, smooth, slope, borderType=cv2.BORDER_REPLICATE)
-        # White noise of sigma_n gives the derivatives sigma_n / (sqrt(8 pi) s^2).
-        sigma = _noise(grey) / (np.sqrt(8.0 * np.pi) * SMOOTHING**2)
+        sigma = GRADIENT_OF_NOISE * _noise(grey)
         return cls(by_u, by_v, cv2.magnitude(by_u, by_v), sigma)
 
     def at(

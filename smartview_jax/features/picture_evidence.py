@@ -20,7 +20,7 @@ from ..cameras import Camera, in_picture
 from .edge_correlation import correlated_length
 from .edge_points import EdgePoints, find_edge_points
 from .features import Features, features_from_edge_points
-from .gradient import SMOOTHED_LENGTH, Gradient
+from .gradient import MIN_GRADIENT_SIGMA, SMOOTHED_LENGTH, Gradient
 from .groups import grouped_indices
 from .ideal_plane import IdealPlane
 from .lone_edges import lone_points
@@ -89,6 +89,7 @@ class PictureEvidence(NamedTuple):
         scale: size of the searched picture over the given one; all pixels above are of the searched
             picture, whose camera is `scaled_camera`.
         correlated_length: length of an edge whose points count as one observation, px.
+        gradient_sigma: standard deviation of the gradient's noise, grey levels per px.
     """
 
     features: Features
@@ -98,6 +99,7 @@ class PictureEvidence(NamedTuple):
     grey: UInt8[np.ndarray, "rows columns"] | None = None
     scale: float = 1.0
     correlated_length: float = SMOOTHED_LENGTH
+    gradient_sigma: float = MIN_GRADIENT_SIGMA
 
     def at(self, scale: float, camera: Camera) -> "PictureEvidence":
         """Return the evidence of the same picture, searched at another scale.
@@ -151,7 +153,14 @@ def _evidence(
     lone, maps = lone_points(edge_points), edge_maps(features, searched_by)
     correlated = correlated_length(features.segments, edge_points, lone)
     return PictureEvidence(
-        features, edge_points, lone, maps, grey.astype(np.uint8), scale, correlated
+        features,
+        edge_points,
+        lone,
+        maps,
+        grey.astype(np.uint8),
+        scale,
+        correlated,
+        gradient.sigma,
     )
 
 

@@ -3,7 +3,6 @@
 from .curves import closed_rims as closed_rims
 from .curves import is_round as is_round
 from .curves import is_smooth as is_smooth
-from .edge_line_fit import MIN_POINT_SIGMA as MIN_POINT_SIGMA
 from .edge_lines import EXPLAINED_DISTANCE as EXPLAINED_DISTANCE
 from .edge_lines import HIDING_DEPTH as HIDING_DEPTH
 from .edge_lines import INDEPENDENT_LENGTH as INDEPENDENT_LENGTH

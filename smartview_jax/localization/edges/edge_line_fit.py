@@ -18,14 +18,26 @@ from .wireframe import Wireframe
 EDGE_BLUR = float(np.hypot(STANDARD_WIDTH, SMOOTHING))
 """Blur of the edges with the smoothing of the gradient, standard deviation, px."""
 
-MIN_POINT_SIGMA = 0.03
-"""Smallest standard deviation of an edge point, px; a smaller estimate is not believed."""
+POINT_OF_GRADIENT = float(np.sqrt(1.5)) / SMOOTHING * EDGE_BLUR**2
+"""Standard deviation of an edge point, px, over the gradient's noise relative to its peak.
+
+Near its peak the gradient g of an edge of the blur b is g (1 - x^2 / 2 b^2), so that noise of its
+slope moves the peak by b^2 / g times the slope. White noise that is smoothed by s and
+differentiated once has sqrt(3 / 2) / s times that slope.
+"""
 
 MIN_SHARE = 0.25
 """Smallest share of an edge's visible length with edge points for a line to be fitted."""
 
 ROBUST_SCALES = (12.0, 4.0, 1.5, 0.6)
 """Scales of the robust line fit's rounds, px, each limited by the search radius."""
+
+GRID_SIGMA = 0.005
+"""Standard deviation of an edge point's position by its place between two pixels, px.
+
+A parabola through three logarithms is exact for a Gaussian, and the area of a pixel makes the
+gradient of a step a little different: by so much for a blur of 0.5 px, as in a sharp picture.
+"""
 
 
 class EdgeSamples(NamedTuple):
@@ -147,7 +159,10 @@ def _along_edges(samples: EdgeSamples) -> Float[Array, "S"]:
 
 
 def point_variance(
-    samples: EdgeSamples, line: FittedLines, lengths: Float[Array, "E"]
+    samples: EdgeSamples,
+    line: FittedLines,
+    lengths: Float[Array, "E"],
+    noise: Float[Array, "E"],
 ) -> tuple[Float[Array, "E"], Float[Array, "E"]]:
     """Return the variance of an edge's points about its line, and how many are independent.
 
@@ -155,12 +170,28 @@ def point_variance(
         samples: of the model's edges.
         line: fitted to them.
         lengths: with points, in lengths over which errors are correlated.
+        noise: of the gradient, over the mean gradient of each edge's points.
     """
     independent = jnp.maximum(jnp.minimum(line.total_weight, lengths), 1.0)
     variance = samples.sums(line.weights * line.residuals**2) / line.total_weight
     # Two numbers of the line are fitted to this many independent points.
     variance = variance * independent / jnp.maximum(independent - 2.0, 1.0)
-    return jnp.maximum(variance, MIN_POINT_SIGMA**2), independent
+    # Few points may be on a line by chance, but each has the picture's noise.
+    return jnp.maximum(variance, (POINT_OF_GRADIENT * noise) ** 2), independent
+
+
+def grid_variance(samples: EdgeSamples, line: FittedLines) -> Float[Array, "E"]:
+    """Return the variance of whole lines by their places in the grid of pixels, px^2.
+
+    Points of an edge along a row or column are all off by the same; those of any other edge, which
+    are at all places between pixels, by nothing in the mean.
+    """
+    # Points lie on the row or column that crosses the edge more steeply.
+    across_u = jnp.abs(samples.n[:, 0]) >= jnp.abs(samples.n[:, 1])
+    phases = 2.0 * jnp.pi * jnp.where(across_u, samples.p[:, 0], samples.p[:, 1])
+    waves = jnp.stack([jnp.cos(phases), jnp.sin(phases)], axis=1)
+    means = samples.sums(line.weights[:, None] * waves) / line.total_weight[:, None]
+    return GRID_SIGMA**2 * (means**2).sum(axis=1)
 
 
 def robust_weights(

@@ -28,6 +28,7 @@ from .edge_line_fit import (
     MIN_SHARE,
     EdgeSamples,
     fitted_lines,
+    grid_variance,
     point_variance,
     positive,
     robust_weights,
@@ -58,10 +59,6 @@ nearest edge point is chosen."""
 
 MIN_ALIGNMENT = 0.9
 """Smallest cosine, about 25 degrees, between an edge point's gradient and the edge's normal."""
-
-MODEL_SIGMA = 0.003
-"""Standard deviation of a whole line's position, px, no matter how many points it has, where the
-object is exactly as its model."""
 
 ROUNDED_REACH = 2.0 * EDGE_BLUR
 """Distance, px, from an edge of another direction within which a blurred edge is rounded: its
@@ -176,7 +173,7 @@ def edge_lines(
     # distance by a shift of the object is the number of pixels to a metre.
     px_per_metre = sums(line.combination[0] * jnp.linalg.norm(J[:, :3], axis=1))
     tolerance = wireframe.tolerance * px_per_metre
-    whole = MODEL_SIGMA**2 + tolerance**2
+    whole = grid_variance(samples, line) + tolerance**2
     by_light = None
     if wireframe.smooth is not None:
         centre = centre_in_object(camera_from_object)
@@ -186,7 +183,12 @@ def edge_lines(
             wireframe, samples, line, lookup.normals[point], shifts, strengths
         )
         by_light = jnp.where(measured[:, None], by_light, 0.0)
-    variance, independent = point_variance(samples, line, found_px / lookup.correlated_lengths)
+    variance, independent = point_variance(
+        samples,
+        line,
+        found_px / lookup.correlated_lengths,
+        lookup.gradient_sigmas / positive(strengths),
+    )
     tilted = jnp.minimum(2.0 * line.spread / jnp.maximum(found_px, 1.0), 1.0)
     variances = jnp.stack(
         [variance / independent + whole, variance / independent + whole * tilted**2], axis=1

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...argument_checks import MAX_COORDINATE
 from ...cameras import Camera
-from ...features import SMOOTHED_LENGTH, EdgePoints, IdealPlane, lone_points
+from ...features import MIN_GRADIENT_SIGMA, SMOOTHED_LENGTH, EdgePoints, IdealPlane, lone_points
 from ...geometry import host_transformed
 from ...modeling import SeenViews
 from ...runtime.array_namespace import to_device
@@ -49,6 +49,7 @@ class EdgeLookup(eqx.Module):
             known.
         valid: False for padded views.
         correlated_lengths: length of an edge whose points count as one observation, px.
+        gradient_sigmas: standard deviation of the gradient's noise, grey levels per px.
     """
 
     cells: Int[Array, "views rows columns"]
@@ -59,6 +60,7 @@ class EdgeLookup(eqx.Module):
     nearest: Float[Array, "views depth_rows depth_columns"]
     valid: Bool[Array, "views"]
     correlated_lengths: Float[Array, "views"]
+    gradient_sigmas: Float[Array, "views"]
 
     @classmethod
     def of(
@@ -69,6 +71,7 @@ class EdgeLookup(eqx.Module):
         inverse_depth: Float[np.ndarray, "_ depth_rows depth_columns"] | None = None,
         lone: Sequence[Bool[np.ndarray, "_"]] | None = None,
         correlated_lengths: Sequence[float] | None = None,
+        gradient_sigmas: Sequence[float] | None = None,
     ) -> "EdgeLookup":
         """Return the lookup of the edge points of pictures.
 
@@ -79,6 +82,8 @@ class EdgeLookup(eqx.Module):
             inverse_depth: of the nearest known surfaces (`DepthBuffers`), 1/m; none by default.
             lone: for each view, which points no other edge displaces; computed by default.
             correlated_lengths: of each view, px; by default as smoothing makes them.
+            gradient_sigmas: of each view, grey levels per px; by default of a picture without
+                noise, but for its rounding.
         """
         views, largest = padded_view_count(len(pictures)), max(len(p.pixels) for p in pictures)
         # One more than there are points: the last stands for "none".
@@ -98,10 +103,12 @@ class EdgeLookup(eqx.Module):
         if inverse_depth is not None:
             nearest[: len(pictures)] = inverse_depth
         valid = np.arange(views) < len(pictures)
-        lengths = np.full(views, SMOOTHED_LENGTH)
+        lengths, sigmas = np.full(views, SMOOTHED_LENGTH), np.full(views, MIN_GRADIENT_SIGMA)
         if correlated_lengths is not None:
             lengths[: len(pictures)] = correlated_lengths
-        arrays = cells, pixels, normals, strengths, is_lone, nearest, valid, lengths
+        if gradient_sigmas is not None:
+            sigmas[: len(pictures)] = gradient_sigmas
+        arrays = cells, pixels, normals, strengths, is_lone, nearest, valid, lengths, sigmas
         return cls(*map(to_device, arrays))
 
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ...cameras import AnyCamera
+from ...features import BORDER
 from .outlines import with_outline
 from .wireframe import Wireframe
 
@@ -25,7 +26,7 @@ class PredictedView(NamedTuple):
         samples: pixels of the points along the edges; NaN as for vertices.
         directions: unit directions of the edges in the picture at the samples; zero where
             undefined.
-        sample_visible: see `vertex_visible`.
+        sample_visible: the same, and not at the picture's border, where no edge is measured.
         sample_px: length in the picture of each sample's part of its edge, px, visible or not; zero
             for padded samples.
         edge_px: visible length of each edge, px, without outlines of smooth surfaces.
@@ -72,7 +73,7 @@ def predict_view(
     vertex_visible = wireframe.vertex_mask & ~hidden_vertices(wireframe, centre)
     sample_visible = (wireframe.sample_lengths > 0.0) & ~hidden_samples(wireframe, centre)
     # Outside the lens's field of view there is no pixel, and at its border no derivative.
-    sample_visible = sample_visible & usable & within_picture(samples, camera)
+    sample_visible = sample_visible & usable & within_picture(samples, camera, BORDER)
     # First order in the part's length, which is short compared with the distance.
     sample_px = scale * wireframe.sample_lengths
     edge_px = jnp.zeros(len(wireframe.edges)).at[wireframe.sample_edges]
@@ -260,7 +261,9 @@ def _norm(vectors: Float[Array, "n k"]) -> Float[Array, "n"]:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
 
 
-def within_picture(pixels: Float[Array, "n 2"], camera: AnyCamera) -> Bool[Array, "n"]:
-    """Return which pixels are within the picture; False for NaN."""
+def within_picture(
+    pixels: Float[Array, "n 2"], camera: AnyCamera, border: float = 0.0
+) -> Bool[Array, "n"]:
+    """Return which pixels are within the picture, without a border of a width, px."""
     size = jnp.asarray(camera.image_size, dtype=pixels.dtype)[None]
-    return ((pixels > -0.5) & (pixels < size - 0.5)).all(axis=1)
+    return ((pixels > border - 0.5) & (pixels < size - border - 0.5)).all(axis=1)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import binom, gammaln
 
-from ..edges import EXPLAINED_DISTANCE, INDEPENDENT_LENGTH, MIN_POINT_SIGMA, EdgeLines, Wireframe
+from ..edges import EXPLAINED_DISTANCE, INDEPENDENT_LENGTH, EdgeLines, Wireframe
 from ..rig_noise import ViewDisagreement
 from .moved_faces import MovedFace
 from .options import DEFAULT_OPTIONS, VerdictOptions
@@ -17,6 +17,9 @@ parallax determines its distance, and so its size."""
 
 MIN_VIEW_PX = 60.0
 """Smallest visible edge length, px, for a view to be judged by its own share."""
+
+SMALLEST_DISTANCE = 0.03
+"""RMS distance of edges, px, below which they are no less probable in clutter."""
 
 MIN_EXACT_EDGES = 4
 """Smallest number of edges for which the probability of a chance fit is computed."""
@@ -161,7 +164,7 @@ def log_chance_of_exactness(rms: float, edges: int, absorbed: float = 0.0) -> fl
     n = 2 * edges - 6 - absorbed
     if n <= 0:
         return 0.0
-    radius = max(rms, MIN_POINT_SIGMA) / np.sqrt(2.0) * np.sqrt(n)
+    radius = max(rms, SMALLEST_DISTANCE) / np.sqrt(2.0) * np.sqrt(n)
     part = 0.5 * n * np.log(np.pi) + n * np.log(radius / (2.0 * EXPLAINED_DISTANCE))
     return min(float((part - gammaln(0.5 * n + 1.0)) / np.log(10.0)), 0.0)
 

@@ -102,6 +102,7 @@ class Scene:
             np.maximum.reduce(depths),
             [picture.lone for picture in self.pictures],
             [picture.correlated_length for picture in self.pictures],
+            [picture.gradient_sigma for picture in self.pictures],
         )
 
     def _free(self, claims: Sequence[Claim]) -> list[Bool[np.ndarray, "_"]]:

@@ -25,7 +25,6 @@ from ...runtime.compilation import compiled_optimised
 from ...runtime.padding import in_batches
 from ..edges import (
     INDEPENDENT_LENGTH,
-    MIN_POINT_SIGMA,
     Wireframe,
     centre_in_object,
     pose_jacobians,
@@ -291,9 +290,8 @@ def _predicted(
     """Return the visible edges of a hypothesis in all candidate views."""
     # The noise was measured at the scale at which the pictures were searched.
     camera, wireframe = scaled_camera(views.calibration.camera, obj.scale), Wireframe.of(model)
-    sigma = max(float(obj.refined.edge_sigma), MIN_POINT_SIGMA)
-    scatter = obj.refined.lines.scatter[obj.refined.consistent]
-    point_sigma = max(float(np.median(scatter)) if len(scatter) else 0.0, MIN_POINT_SIGMA)
+    sigma = float(obj.refined.edge_sigma)
+    point_sigma = float(np.median(obj.refined.lines.scatter[obj.refined.lines.measured]))
     sigmas = to_device(np.array([point_sigma, sigma]))
     in_world = host_transformed(pose, np.asarray(wireframe.samples))
 

@@ -14,7 +14,6 @@ outline to the next. A fit that takes these errors as independent is then less a
 states. How much they share is seen in the residuals, whose neighbours have the same sign.
 """
 
-from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -35,14 +34,12 @@ NUMBERS = 2
 INFLATION = (DEGREES_OF_FREEDOM + NUMBERS + 2.0) / (DEGREES_OF_FREEDOM + NUMBERS)
 """Variance of the Gaussian with the same Fisher information as Student's t of scale one."""
 
-EDGE_SIGMAS = (0.0, *np.geomspace(0.01, 1.5, 16))
-"""Scales that are tried for an error common to all edges, px.
+EDGE_SIGMAS = (0.0, *np.geomspace(0.0025, 1.5, 20))
+"""Scales that are tried for an error common to all edges, px, equally probable beforehand.
 
-The distances and the tilts have one each: a rounded corner displaces an edge without a tilt.
+The distances and the tilts have one each: a rounded corner displaces an edge without a tilt, and so
+does the grain of a surface, by less than the likeliest scale can show.
 """
-
-LEAST_GAIN = 1.0
-"""Smallest gain in log-likelihood for such a scale to be used: Akaike's, for one more parameter."""
 
 MAX_LOG_LIKELIHOOD_LOSS = 10.0
 """Log-likelihood below the best scale's at which larger scales are no longer tried."""
@@ -76,8 +73,8 @@ class HeavyTailedStep(NamedTuple):
 def solve_heavy_tailed(equations: PoseEquations, errors: CommonErrors) -> HeavyTailedStep:
     """Return the likeliest pose if the errors of whole edges have Student's t distribution.
 
-    Its scale is the noise of the edge's points plus, where that is likelier, an error common to
-    all edges, as of a rounded object or an inexact model.
+    Its scale is the noise of the edge's points plus an error common to all edges, as of grain, a
+    rounded object or an inexact model.
 
     Args:
         equations: two of each edge, one after the other, with independent noise.
@@ -208,7 +205,9 @@ def _likeliest(
     shape: Float[np.ndarray, "*edges 2"],
     weights: Float[np.ndarray, "edges"],
 ) -> tuple[_Fit, float]:
-    """Return the likeliest fit, and the scale of an error of a given shape that all edges have.
+    """Return the fit with the expected variance of an error that all edges have, and its scale.
+
+    Few edges cannot tell a small scale from none, so that the likeliest one would often be zero.
 
     Args:
         unknowns: the equations.
@@ -216,19 +215,21 @@ def _likeliest(
         shape: standard deviations of the two numbers by an error of the scale one.
         weights: initial weights of the edges.
     """
-    tried: list[tuple[float, _Fit, float]] = []
+    fits, logs = list[_Fit](), list[float]()
     for sigma in EDGE_SIGMAS:
         scaled = variances + np.square(sigma * shape)
-        fit = _fit(unknowns, scaled, weights)
-        # A scale has to gain something to be used.
-        gain = fit.log_likelihood(unknowns.prior, scaled) - (LEAST_GAIN if sigma else 0.0)
-        tried.append((gain, fit, sigma))
-        if gain < max(tried, key=itemgetter(0))[0] - MAX_LOG_LIKELIHOOD_LOSS:
-            break
         # The weights of one scale are a good start for the next.
-        weights = fit.weights
-    _, fit, sigma = max(tried, key=itemgetter(0))
-    return fit, sigma
+        fits.append(_fit(unknowns, scaled, fits[-1].weights if fits else weights))
+        logs.append(fits[-1].log_likelihood(unknowns.prior, scaled))
+        if logs[-1] < max(logs) - MAX_LOG_LIKELIHOOD_LOSS:
+            break
+    probabilities = np.exp(np.array(logs) - max(logs))
+    # No such error is as probable beforehand as one of any scale.
+    probabilities[0] *= len(EDGE_SIGMAS) - 1
+    squares = np.square(EDGE_SIGMAS[: len(logs)])
+    sigma = float(np.sqrt(probabilities @ squares / probabilities.sum()))
+    scaled = variances + np.square(sigma * shape)
+    return _fit(unknowns, scaled, fits[int(np.argmax(logs))].weights), sigma
 
 
 def _fit(
