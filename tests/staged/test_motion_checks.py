@@ -28,6 +28,7 @@ def views_of(misfit=None, is_small_target=False):
     pictures = SimpleNamespace(
         used=np.ones(VIEWS, dtype=bool),
         common=SimpleNamespace(camera_from_world=None, inliers=seen, sigma=0.1, rms=0.1),
+        steps=SimpleNamespace(camera=None),
         observations=SimpleNamespace(visible=seen),
         misfit=lambda _: misfit,
         doubts=lambda *_: (None, ()),
