@@ -74,7 +74,7 @@ def test_lines_are_as_exact_as_their_points_are_independent(views, wireframe):
     n = fine.found_px[long] / 5.0
     expected = (n - 2.0) / (0.5 * n - 2.0)
     actual = rough.variances[long, 0] / fine.variances[long, 0]
-    # A line has a further error (`MODEL_SIGMA`).
+    # A line along a row or column has a further error (`grid_variance`).
     np.testing.assert_allclose(actual, expected, rtol=0.01)
 
 
