@@ -28,7 +28,7 @@ from .misfit_evidence import VERY_STRONG_EVIDENCE, evidence, in_parts
 from .transform_fit import fit_transforms, mean_size, median_distance, misfit_text
 
 MIN_VIEWS = 8
-"""Fewest views: 48 numbers of poses, of which two transforms and joint zeros take up 18."""
+"""Fewest views: their poses have 48 numbers, and 18 determine both transforms and joint zeros."""
 
 ZERO_STD, LENGTH_STD, TWIST_STD, COMPLIANCE_STD = 0.03, 2e-3, 3e-3, 3e-3
 """Standard deviations of the errors of a poor arm: of joint zeros (rad), of links (m and rad), and
@@ -41,8 +41,8 @@ SIZE_STEP = 1e-4
 """Relative step by which the target's size is varied."""
 
 SHARE_STDS = np.array([0.5, 0.1])
-"""Standard deviations of what is wrong with a joint that is reported wrongly: its zero, as no
-one knows at which reading it is right, and the share by which it turns too far."""
+"""Standard deviations, before any view, of the zero (rad) of a joint that is reported wrongly, and
+of the share by which it turns too far. At which reading it is right is not known."""
 
 MIN_SHARE = 1.0 / 300.0
 """Smallest share that is named: gears have at most some hundred teeth, and one is one too many."""
@@ -317,7 +317,7 @@ def _fit(errors: Twists, columns: Columns, stds: Float[np.ndarray, "numbers"]) -
         stds: of the numbers before any view; infinite where they may have any value.
     """
     is_known = np.isfinite(stds)
-    # In units of their standard deviations, and of what they move, the numbers are about one.
+    # Scaled by standard deviations, or by the motion that they cause, all numbers are about one.
     sizes = np.linalg.norm(columns.reshape(-1, columns.shape[2]), axis=0)
     units = np.where(is_known, stds, 1.0 / np.maximum(sizes, 1e-12))
     scaled = columns * units

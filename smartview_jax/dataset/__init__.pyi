@@ -1,9 +1,9 @@
 from .dataset import MINIMUM_RELIABLE_VIEWS as MINIMUM_RELIABLE_VIEWS
 from .dataset import Dataset as Dataset
 from .depth_readings import MAD_TO_SIGMA as MAD_TO_SIGMA
-from .depth_readings import SMALLEST_STD as SMALLEST_STD
 from .depth_readings import DepthNoise as DepthNoise
 from .depth_readings import DepthReadings as DepthReadings
+from .depth_readings import depth_precision as depth_precision
 from .depth_sensor import TYPICAL_OFFSET_STD as TYPICAL_OFFSET_STD
 from .depth_sensor import TYPICAL_SCALE_STD as TYPICAL_SCALE_STD
 from .depth_sensor import DepthSensor as DepthSensor

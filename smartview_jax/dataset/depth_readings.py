@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import nnls
 
-from ..runtime.array_namespace import AnyArray, to_device
+from ..runtime.array_namespace import AnyArray, AnyScalar, array_namespace, to_device
 from ..runtime.padding import repeat_last
 
 MIN_FREEDOM = 8
@@ -68,7 +68,23 @@ class DepthNoise:
 
     def std(self, depth: Float[np.ndarray, "*points"]) -> Float[np.ndarray, "*points"]:
         """Return the standard deviation at depths, m."""
-        return np.hypot(self.constant, self.quadratic * np.square(depth))
+        return _depth_std(depth, self.constant, self.quadratic)
+
+
+def _depth_std(
+    depth: Float[AnyArray, "*points"], constant: AnyScalar, quadratic: AnyScalar
+) -> Float[AnyArray, "*points"]:
+    """Return the standard deviation at depths, m, by the two parts of `DepthNoise`."""
+    xp = array_namespace(depth, constant, quadratic)
+    return xp.hypot(constant, quadratic * xp.square(depth))
+
+
+def depth_precision(
+    depth: Float[AnyArray, "*points"], constant: AnyScalar, quadratic: AnyScalar
+) -> Float[AnyArray, "*points"]:
+    """Return one over the standard deviation at depths, 1/m, by the two parts of `DepthNoise`."""
+    std = _depth_std(depth, constant, quadratic)
+    return 1.0 / array_namespace(std).maximum(std, SMALLEST_STD)
 
 
 class DepthReadings(eqx.Module):
@@ -157,7 +173,7 @@ def depth_readings(
                 f"noise, found {max(count, 0)}: state it by noise=DepthNoise(...)"
             )
         noise = _likeliest_noise(sums, freedom, middle)
-    precision = np.where(used, 1.0 / np.maximum(noise.std(fitted), SMALLEST_STD), 0.0)
+    precision = np.where(used, depth_precision(fitted, noise.constant, noise.quadratic), 0.0)
     unknown = to_device(np.zeros(len(depths)))
     measured = to_device(np.where(used, depths, 0.0))
     return DepthReadings(measured, to_device(precision), unknown, unknown), noise

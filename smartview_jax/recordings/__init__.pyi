@@ -1,7 +1,7 @@
 from .bag import Bag as Bag
 from .bag import bag_files as bag_files
 from .bag import open_bag as open_bag
-from .bag_content import BagSources as BagSources
+from .bag_sources import BagSources as BagSources
 from .import_bag import import_bag as import_bag
 from .import_lerobot import LeRobotSources as LeRobotSources
 from .import_lerobot import import_lerobot as import_lerobot

@@ -33,7 +33,8 @@ from ..io import (
 )
 from ..targets import AbstractTarget
 from .bag import Bag, open_bag
-from .bag_content import ONE_CAMERA, BagContent, BagSources, Measurements, read_content
+from .bag_content import BagContent, Measurements, read_content
+from .bag_sources import ONE_CAMERA, BagSources
 from .imported_folder import (
     POSE_FORMAT,
     ImportedFolder,

@@ -35,8 +35,8 @@ class ImportedFolder(NamedTuple):
     Attributes:
         left_out: number of pictures that are no views, by reason.
         notes: sentences on what was used and found.
-        camera_file: the file of the known camera, or the folder with those of several; None if
-            the bag has none.
+        camera_file: the file of the known camera, or the folder with the files of several known
+            cameras; None if the bag has none.
         in_motion: whether the robot's poses are a log, from which each view's is interpolated.
         target_is_template: whether the target's lengths are examples, still to be measured.
     """

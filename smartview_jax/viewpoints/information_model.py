@@ -19,7 +19,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
-from ..dataset import SMALLEST_STD, Dataset, DepthNoise, DepthReadings, Observations
+from ..dataset import Dataset, DepthNoise, DepthReadings, Observations, depth_precision
 from ..engine import (
     JointProblem,
     Noise,
@@ -28,6 +28,7 @@ from ..engine import (
     Step,
     build_problem,
     padded,
+    with_weighed_depths,
 )
 from ..geometry import look_at, transform_points
 from ..robot_errors import FieldChoice, nominal_arm
@@ -147,11 +148,10 @@ class InformationModel(eqx.Module):
 
     def dataset_information(self, data: Dataset) -> Float[Array, "views free free"]:
         """Return the information matrix of every view of a data set."""
-        observations, depths = data.observations, None
-        if observations.depths is not None and self.depth_noise is not None:
-            common = float(self.depth_noise[2])
-            depths = observations.depths.weighed(float(self.problem.pixel_sigma), common)
-        return self._matrices(with_fields(observations, depths=depths))[1]
+        if self.depth_noise is None:
+            data = data.with_depths(None)
+        weighed = with_weighed_depths(data, float(self.problem.pixel_sigma))
+        return self._matrices(weighed.observations)[1]
 
     def pixel_moment_matrix(self, camera_from_world: SE3) -> Float[Array, "free free"]:
         """Return the mean squared displacement of pixels by the parameters, as a matrix.
@@ -198,10 +198,10 @@ class InformationModel(eqx.Module):
         if self.depth_noise is None:
             return None
         constant, quadratic, common = self.depth_noise
-        std = jnp.maximum(jnp.hypot(constant, quadratic * depth**2), SMALLEST_STD)
+        precision = depth_precision(depth, constant, quadratic)
         every_view = jnp.ones(len(depth))
         pixel_sigma = self.problem.pixel_sigma * every_view
-        return DepthReadings(depth, 1.0 / std, common * every_view, pixel_sigma)
+        return DepthReadings(depth, precision, common * every_view, pixel_sigma)
 
     def _matrices(
         self, observations: Observations

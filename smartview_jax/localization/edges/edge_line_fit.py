@@ -183,8 +183,8 @@ def point_variance(
 def grid_variance(samples: EdgeSamples, line: FittedLines) -> Float[Array, "E"]:
     """Return the variance of whole lines by their places in the grid of pixels, px^2.
 
-    Points of an edge along a row or column are all off by the same; those of any other edge, which
-    are at all places between pixels, by nothing in the mean.
+    All points of an edge along a row or column have the same error. Along any other edge the places
+    between pixels differ, and the errors cancel.
     """
     # Points lie on the row or column that crosses the edge more steeply.
     across_u = jnp.abs(samples.n[:, 0]) >= jnp.abs(samples.n[:, 1])
