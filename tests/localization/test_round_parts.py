@@ -3,7 +3,6 @@
 import dataclasses
 
 import cv2
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -146,13 +145,6 @@ def test_rims_are_measured_in_arcs_and_straight_edges_as_they_are():
     assert not any(map(is_round, (box(), drilled(6, 32))))
     # A hexagonal nut: its hole is round.
     assert len(circles_of(drilled(6, 32))) == 2
-
-
-def test_round_parts_share_programs():
-    """The pipe has eight times as many smooth edges to sample, and a longer outline."""
-    washer, pipe = (Wireframe.of(model, 256) for model in models())
-    assert jax.tree.structure(washer) == jax.tree.structure(pipe)
-    assert jax.tree.map(np.shape, washer) == jax.tree.map(np.shape, pipe)
 
 
 @pytest.mark.parametrize("turn", [[0.0, 0.7, 0.0], [1.1, 0.2, 0.4]])

@@ -31,13 +31,6 @@ Where short edges would take more of the samples, the number of all samples is d
 MIN_VERTICES, MIN_EDGES, MIN_TRIANGLES, MIN_FACES, MIN_SMOOTH = 16, 32, 32, 16, 128
 """Smallest sizes of the arrays; larger ones are rounded up to this times a power of two."""
 
-MIN_SMOOTH_BY_EDGES, MIN_OUTLINE_BY_EDGES = 4.0, 0.5
-"""Smallest numbers of samples on smooth surfaces, and on an outline, over those along edges.
-
-Smaller ones would run faster; but so a washer and a pipe share programs, which take seconds to
-compile.
-"""
-
 HIDING_MARGIN = 2e-3
 """Distance in front of a point, over the object's extent, within which no face hides it.
 
@@ -151,7 +144,7 @@ class Wireframe(eqx.Module):
         face_normals = np.array([plane.normal for plane in planes]).reshape(-1, 3)
         triangles = corners, triangle_faces, face_normals
         count = len(owners) or samples
-        smooth, patches = _smooth_edges(model, triangles, T, curves, count, S)
+        smooth, patches = _smooth_edges(model, triangles, T, curves, count)
         S += 0 if smooth is None else smooth.slots
         arrays = (
             _padded(model.vertices, V, 3),
@@ -250,7 +243,6 @@ def _smooth_edges(
     padded: int,
     curves: Curves,
     samples: int,
-    padded_samples: int,
 ) -> tuple[SmoothEdges | None, int]:
     """Return the smooth edges of a model and their number of patches; None and 0 without any.
 
@@ -261,14 +253,12 @@ def _smooth_edges(
         curves: of the model.
         samples: number of samples on them; smooth edges have as many to a metre. A model without
             edges has a quarter of them around its extent: each is tested against all its faces.
-        padded_samples: number of samples along all edges with padding.
     """
     length = curves.lengths.sum() or 4.0 * np.pi * model.extent
     outline = OutlineSamples.of(model, samples / length)
     if outline is None:
         return None, 0
-    min_smooth = max(MIN_SMOOTH, int(MIN_SMOOTH_BY_EDGES * padded_samples))
-    M = _rounded(len(outline.points) + 1, min_smooth)
+    M = _rounded(len(outline.points) + 1, MIN_SMOOTH)
     corners, triangle_faces, face_normals = triangles
     # Where all triangles of a face have one orientation, none of them cancels another.
     a, b, c = model.vertices[corners].transpose(1, 0, 2)
@@ -287,8 +277,7 @@ def _smooth_edges(
         _padded(is_lone, padded),
         _padded(fans, padded, H),
     )
-    min_slots = max(MIN_EDGES, int(MIN_OUTLINE_BY_EDGES * padded_samples))
-    slots = _rounded(outline.slots, min_slots)
+    slots = _rounded(outline.slots, MIN_EDGES)
     return SmoothEdges(*map(to_device, arrays), slots=slots), int(outline.patches.max()) + 1
 
 
