@@ -68,7 +68,7 @@ class DepthNoise:
 
     def std(self, depth: Float[np.ndarray, "*points"]) -> Float[np.ndarray, "*points"]:
         """Return the standard deviation at depths, m."""
-        return _depth_std(depth, self.constant, self.quadratic)
+        return np.asarray(_depth_std(depth, self.constant, self.quadratic))
 
 
 def _depth_std(
