@@ -51,10 +51,11 @@ answer = {
     "fit": described(fit),
     "rig": described_rig(rig_fit(jax.devices())),
     "views_here": views_on_each(fit.problem, jax.devices()),
-    "exchanges": exchanges_of_a_step(fit.problem, jax.local_devices()),
     # Without corrections there are no other arrays by views.
     "uncorrected_views_here": views_on_each(problem_without_corrections(), jax.local_devices()),
-    # Results of many fits stay with the process that made them.
-    "many": many(jax.local_devices()) if number == 0 else None,
 }
+if number == 0:
+    # On the devices of this process alone.
+    answer["exchanges"] = exchanges_of_a_step(fit.problem, jax.local_devices())
+    answer["many"] = many(jax.local_devices())
 sys.stdout.write(f"{json.dumps(answer)}\n")

@@ -58,8 +58,7 @@ def many(devices):
 def rig_fit(devices):
     """A camera on each of two arms in seven states, which see one target."""
     rig, truths = arms_scene(0, views=7)
-    fixed = tuple(f"{camera}.camera" for camera in truths)
-    return sv.fit_rig(rig, truths, noise=ARMS_NOISE, field=None, fixed=fixed, devices=devices)
+    return sv.fit_rig(rig, truths, noise=ARMS_NOISE, field=None, devices=devices)
 
 
 def described_rig(fit):
