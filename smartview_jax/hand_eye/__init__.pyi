@@ -1,4 +1,5 @@
 from .closed_form import CLOSED_FORMS as CLOSED_FORMS
+from .closed_form import MAX_PAIRS as MAX_PAIRS
 from .closed_form import ClosedForm as ClosedForm
 from .closed_form import daniilidis as daniilidis
 from .closed_form import mean_camera_from_mount as mean_camera_from_mount

@@ -44,6 +44,10 @@ Several arrays of this size then fit into a processor's cache of 1 MB. With 500 
 together, in 20 MB, take 2.5 times as long as one after the other.
 """
 
+MAX_COLUMN_RATIO = 1.25
+"""Largest number of parameters of searches together, those that others fit included, over the
+number that they fit themselves."""
+
 INITIAL_DAMPING, DAMPING_BOUNDS = 1e-2, (1e-6, 1e8)
 """Damping of the first step (INITIAL_DAMPING), and its lower and upper limit (DAMPING_BOUNDS)."""
 
@@ -130,16 +134,46 @@ def maximise_each(
     """
     views, start, prior = jax.tree.map(np.asarray, (views, start, prior))
     active = np.asarray(active)
-    together = max(1, int(MAX_TOGETHER_BYTES / max(views.matrix.border.nbytes, 1)))
-    maxima: list[LikelihoodMaximum] = []
-    for first in range(0, len(active), together):
-        search = _Search(views, start, active[first : first + together], prior)
+    maxima: dict[int, LikelihoodMaximum] = {}
+    for together in _batches(views, active):
+        search = _Search(views, start, active[together], prior)
         for _ in range(MAX_SCORING_STEPS):
             if not search.is_running:
                 break
             search.step()
-        maxima += search.maxima
-    return maxima
+        maxima |= dict(zip(together, search.maxima, strict=True))
+    return [maxima[k] for k in range(len(active))]
+
+
+def _batches(views: LinearisedViews, active: Bool[np.ndarray, "searches robot"]) -> list[list[int]]:
+    """Return the numbers of the searches that take their steps together.
+
+    Those that fit nearly the same errors come together: what none of a batch fits is left out.
+    """
+    is_fitted = ~_is_held(views, active)
+    column_bytes = views.matrix.border.nbytes / max(is_fitted.shape[1], 1)
+    batches: list[list[int]] = []
+    for k in np.lexsort(active.T[::-1]).tolist():
+        larger = [*batches[-1], k] if batches else [k]
+        columns = len(larger) * int(is_fitted[larger].any(axis=0).sum())
+        is_small = columns * column_bytes <= MAX_TOGETHER_BYTES
+        if batches and is_small and columns <= MAX_COLUMN_RATIO * is_fitted[larger].sum():
+            batches[-1] = larger
+        else:
+            batches.append([k])
+    return batches
+
+
+def _is_held(
+    views: LinearisedViews, active: Bool[np.ndarray, "searches robot"]
+) -> Bool[np.ndarray, "searches shared"]:
+    """Return whether each search holds each shared parameter, at its prior mean.
+
+    It does so with a group whose standard deviation stays at zero.
+    """
+    is_in_group = np.append(active[:, 2:], np.ones((len(active), 1), dtype=bool), axis=1)
+    group_index = np.asarray(views.group_index)
+    return (group_index >= 0) & ~is_in_group[:, group_index]
 
 
 class _Points(NamedTuple):
@@ -273,11 +307,7 @@ class _Objective:
         active: Bool[np.ndarray, "searches robot"],
         prior: StandardDeviationPrior | None,
     ):
-        # A group whose standard deviation stays at zero holds its parameters at their prior means.
-        is_in_group = np.append(active[:, 2:], np.ones((len(active), 1), dtype=bool), axis=1)
-        group_index = np.asarray(views.group_index)
-        is_held = (group_index >= 0) & ~is_in_group[:, group_index]
-        self.views, self.prior = views.with_held_in_searches(is_held), prior
+        self.views, self.prior = views.with_held_in_searches(_is_held(views, active)), prior
         self.kinds = kinds_of(self.views, len(start.field))
         self.is_active = np.insert(active, 0, True, axis=1)
         self.prior_precision = np.zeros(self.is_active.shape)

@@ -39,6 +39,18 @@ def test_groups_are_fitted_together_as_one_by_one(motions):
         np.testing.assert_allclose(closures, fit_transforms(robot, camera, used).closure, atol=1e-9)
 
 
+def test_the_views_that_agree_are_fitted_again_together_and_one_by_one_alike(motions, monkeypatch):
+    """With errors of half the tolerance, triples lead to groups of many sizes."""
+    robot, camera = motions
+    camera = camera @ host_exponentials(np.random.default_rng(3).normal(0.0, 0.004, (10, 6)))
+    camera[[2, 6]] = camera[[6, 2]]
+    together = largest_group(robot, camera, distance=0.5)
+    monkeypatch.setattr("smartview_jax.data_checks.largest_group.MAX_PAIRS", 0)
+    np.testing.assert_array_equal(largest_group(robot, camera, distance=0.5), together)
+    assert 3 < together.sum() <= 8
+    assert not together[[2, 6]].any()
+
+
 def test_many_views_are_compared_with_few_triples_at_a_time(motions, monkeypatch):
     robot, camera = motions
     camera[:2] = camera[[1, 0]]
@@ -51,10 +63,12 @@ def test_many_views_are_compared_with_few_triples_at_a_time(motions, monkeypatch
 
     module = "smartview_jax.data_checks.largest_group"
     monkeypatch.setattr(f"{module}.closures_of_groups", counted)
-    monkeypatch.setattr(f"{module}.MAX_CLOSURES", 35)
+    monkeypatch.setattr(f"{module}.MAX_TOGETHER", 35)
     np.testing.assert_array_equal(largest_group(robot, camera, distance=0.5), expected)
-    # All triples of ten views, three at a time.
-    assert counts == [3] * 40
+    # All triples of ten views, three at a time; of larger groups each is fitted alone.
+    assert counts[:40] == [3] * 40
+    assert len(counts) > 40
+    assert set(counts[40:]) == {1}
 
 
 def test_views_that_tell_no_transforms_are_no_group(motions):

@@ -199,6 +199,25 @@ def test_searches_step_together_as_far_as_their_arrays_are_small(world, monkeypa
         np.testing.assert_allclose(one.sigmas.vector, other.sigmas.vector, rtol=1e-9)
 
 
+def test_searches_that_fit_few_errors_step_without_those_that_fit_many(world, monkeypatch):
+    """What no search of a batch fits is left out of its arrays."""
+    views = linearised(world, drawn(world, 7))
+    few, many = [True, True, False, False], [True, True, True, True]
+    columns, search = [], fisher_scoring._Search
+
+    def recorded(views, start, active, prior):
+        started = search(views, start, active, prior)
+        columns.append((len(active), started._objective.views.matrix.border.shape[-1]))
+        return started
+
+    monkeypatch.setattr(fisher_scoring, "_Search", recorded)
+    monkeypatch.setattr(fisher_scoring, "MAX_COLUMN_RATIO", 1.0)
+    found = maximise_each(views, TRUTH, np.array([many, few, many]))
+    assert columns == [(1, np.sum(GROUP < 0)), (2, len(GROUP))]
+    # The results are in the order of the searches.
+    assert found[0].deviance == found[2].deviance != found[1].deviance
+
+
 def test_searches_that_step_together_end_where_scipy_does(world):
     """They hold different groups, and end after different numbers of steps."""
     views = linearised(world, drawn(world, 7))
