@@ -28,7 +28,6 @@ def equations_of(rng, errors, numbers=0):
         np.diag(sigmas**2),
         rng.standard_normal((2 * edges, numbers)),
         np.zeros((2 * edges, 0)),
-        np.repeat(np.arange(edges), 2),
     )
 
 
