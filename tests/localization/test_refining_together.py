@@ -125,10 +125,11 @@ def test_the_solution_is_that_of_all_unknowns_together(views, uncertainty, model
     before = [alone(scene, pose, uncertainty, prepared) for pose in (POSE, OTHER_POSE)]
     after = refined_together(before, scene, [prepared], uncertainty)
     equations = [obj.refined.equations for obj in after]
-    J = block_diag(*(part.by_pose for part in equations))
+    J = np.asarray(block_diag(*(part.by_pose for part in equations)))
     # Equations are about the refined poses: there the best tangent of all unknowns is zero.
     r = np.concatenate([part.residuals for part in equations])
-    whitening = np.linalg.inv(np.linalg.cholesky(block_diag(*(part.noise for part in equations))))
+    noise = np.asarray(block_diag(*(part.noise for part in equations)))
+    whitening = np.linalg.inv(np.linalg.cholesky(noise))
     root = np.linalg.cholesky(uncertainty.covariance)
     B = np.concatenate(
         [np.hstack([e.by_calibration @ root, 1e-4 * e.by_vertices]) for e in equations]

@@ -26,15 +26,14 @@ from .pose_equations import CommonErrors, PoseEquations, PoseStep, solve_pose, w
 DEGREES_OF_FREEDOM = np.array([2.0, 3.0, 5.0, 10.0, 30.0, 1000.0])
 """Degrees of freedom of Student's t that are tried, equally probable beforehand.
 
-With the last number the errors are Gaussian; with fewer than the first ones, tails are heavier than
-those of any pictures.
+The first makes one edge in ten err by more than four times its scale; the last is a Gaussian.
 """
 
 NUMBERS = 2
 """Numbers of an edge: its distance from the prediction and its tilt."""
 
 INFORMATION = (DEGREES_OF_FREEDOM + NUMBERS) / (DEGREES_OF_FREEDOM + NUMBERS + 2.0)
-"""Fisher information of Student's t of scale one."""
+"""Fisher information of Student's t of scale one, relative to a Gaussian error."""
 
 EDGE_SIGMAS = tuple(np.geomspace(0.0025, 1.5, 20).tolist())
 """Scales that are tried for an error common to all edges, px, equally probable beforehand.
