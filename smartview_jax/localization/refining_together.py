@@ -17,7 +17,6 @@ from ..modeling import CalibrationUncertainty
 from .distinct_poses import pose_distances
 from .judging import Claim, Localization, Prepared, Scene
 from .refining import (
-    NUMBERS,
     CommonErrors,
     PoseEquations,
     PoseStep,
@@ -99,7 +98,7 @@ def _solved_together(
         [
             part.by_vertices
             if obj.model_index == k
-            else np.zeros((len(part.block), len(e.vertices)))
+            else np.zeros((len(part.residuals), len(e.vertices)))
             for k, e in errors.items()
         ]
         for part, obj in zip(equations, objects, strict=True)
@@ -110,8 +109,6 @@ def _solved_together(
         np.asarray(block_diag(*(part.noise for part in equations))),
         np.concatenate([part.by_calibration for part in equations]),
         np.block(by_vertices),
-        # The two equations of each edge remain a block.
-        np.repeat(np.arange(sum(len(part.block) for part in equations) // NUMBERS), NUMBERS),
     )
     vertices = np.asarray(block_diag(*(part.vertices for part in errors.values())))
     turns = np.asarray(block_diag(*(errors[obj.model_index].turns for obj in objects)))

@@ -39,18 +39,13 @@ def padded_counts(views: int, points: int = 1) -> tuple[int, int]:
 
     They are powers of two, at least 8; for a large data set the given numbers are returned.
     """
-    padded = _next_power_of_two(views), _next_power_of_two(points)
+    padded = power_of_two_from(views, MIN_PADDED_COUNT), power_of_two_from(points, MIN_PADDED_COUNT)
     return padded if padded[0] * padded[1] <= MAX_PADDED_OBSERVATIONS else (views, points)
 
 
-def _next_power_of_two(count: int) -> int:
-    """Return the smallest power of two that is at least a count and `MIN_PADDED_COUNT`."""
-    return max(power_of_two_from(count), MIN_PADDED_COUNT)
-
-
-def power_of_two_from(count: int) -> int:
-    """Return the smallest power of two that is no smaller than a positive number."""
-    return 1 << (count - 1).bit_length()
+def power_of_two_from(count: int, smallest: int = 1) -> int:
+    """Return the smallest power of two that is no smaller than two numbers."""
+    return 1 << (max(count, smallest) - 1).bit_length()
 
 
 def repeat_last(arrays: _Tree, count: int, axis: int = 0) -> _Tree:

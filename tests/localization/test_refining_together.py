@@ -125,20 +125,21 @@ def test_the_solution_is_that_of_all_unknowns_together(views, uncertainty, model
     before = [alone(scene, pose, uncertainty, prepared) for pose in (POSE, OTHER_POSE)]
     after = refined_together(before, scene, [prepared], uncertainty)
     equations = [obj.refined.equations for obj in after]
-    J = block_diag(*(part.by_pose for part in equations))
+    J = np.asarray(block_diag(*(part.by_pose for part in equations)))
     # Equations are about the refined poses: there the best tangent of all unknowns is zero.
     r = np.concatenate([part.residuals for part in equations])
-    weights = 1.0 / np.sqrt(np.concatenate([np.diagonal(part.noise) for part in equations]))
+    noise = np.asarray(block_diag(*(part.noise for part in equations)))
+    whitening = np.linalg.inv(np.linalg.cholesky(noise))
     root = np.linalg.cholesky(uncertainty.covariance)
     B = np.concatenate(
         [np.hstack([e.by_calibration @ root, 1e-4 * e.by_vertices]) for e in equations]
     )
     numbers = B.shape[1]
     A = np.block(
-        [[weights[:, None] * J, weights[:, None] * B],
+        [[whitening @ J, whitening @ B],
          [np.zeros((numbers, J.shape[1])), np.eye(numbers)]]
     )  # fmt: skip
-    best = np.linalg.lstsq(A, np.append(weights * r, np.zeros(numbers)), rcond=None)[0]
+    best = np.linalg.lstsq(A, np.append(whitening @ r, np.zeros(numbers)), rcond=None)[0]
     covariance = np.linalg.inv(A.T @ A)
     for k, localization in enumerate(after):
         part = slice(6 * k, 6 * k + 6)

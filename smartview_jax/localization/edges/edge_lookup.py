@@ -87,7 +87,7 @@ class EdgeLookup(eqx.Module):
         """
         views, largest = padded_view_count(len(pictures)), max(len(p.pixels) for p in pictures)
         # One more than there are points: the last stands for "none".
-        count = max(MIN_EDGE_POINTS, 1 << int(largest).bit_length())
+        count = power_of_two_from(int(largest) + 1, MIN_EDGE_POINTS)
         cells = np.full((views, image_size[1], image_size[0]), count - 1, dtype=np.int32)
         pixels = np.full((views, count, 2), FAR_AWAY)
         normals, strengths = np.zeros((views, count, 2)), np.zeros((views, count))
@@ -114,7 +114,7 @@ class EdgeLookup(eqx.Module):
 
 def padded_view_count(count: int) -> int:
     """Return the number of views that programs are compiled for: a power of two, at least two."""
-    return max(2, power_of_two_from(count))
+    return power_of_two_from(count, 2)
 
 
 def padded_poses(poses: Float[np.ndarray, "views 4 4"]) -> Float[np.ndarray, "padded 4 4"]:

@@ -12,6 +12,7 @@ from ...features import grouped_indices
 from ...modeling import ObjectModel, shape_sigma
 from ...runtime.array_namespace import to_device
 from ...runtime.compilation import one_program
+from ...runtime.padding import power_of_two_from
 from .curves import Curves, on_arcs
 from .outlines import OutlineSamples, SmoothEdges, smooth_edges, wall_normals
 
@@ -29,7 +30,7 @@ Where short edges would take more of the samples, the number of all samples is d
 """
 
 MIN_VERTICES, MIN_EDGES, MIN_TRIANGLES, MIN_FACES, MIN_SMOOTH = 16, 32, 32, 16, 128
-"""Smallest sizes of the arrays; larger ones are rounded up to this times a power of two."""
+"""Smallest sizes of the arrays; larger ones are rounded up to a power of two."""
 
 HIDING_MARGIN = 2e-3
 """Distance in front of a point, over the object's extent, within which no face hides it.
@@ -137,9 +138,12 @@ class Wireframe(eqx.Module):
         owners, parts = curves.places(curve, places)
         points, tangents, bends = on_arcs(model, owners, parts)
         corners, triangle_faces = _fans(model)
-        V = _rounded(len(model.vertices), MIN_VERTICES)
-        E = _rounded(len(model.edges), MIN_EDGES)
-        T, F = _rounded(len(corners), MIN_TRIANGLES), _rounded(len(faces), MIN_FACES)
+        V = power_of_two_from(len(model.vertices), MIN_VERTICES)
+        E = power_of_two_from(len(model.edges), MIN_EDGES)
+        T, F = (
+            power_of_two_from(len(corners), MIN_TRIANGLES),
+            power_of_two_from(len(faces), MIN_FACES),
+        )
         planes = [model.plane(k) for k in range(len(faces))]
         face_normals = np.array([plane.normal for plane in planes]).reshape(-1, 3)
         triangles = corners, triangle_faces, face_normals
@@ -167,7 +171,7 @@ class Wireframe(eqx.Module):
             np.array(HIDING_MARGIN * model.extent),
             np.array(shape_sigma(model)),
         )
-        count = _rounded(len(curves.lengths) + patches, MIN_EDGES)
+        count = power_of_two_from(len(curves.lengths) + patches, MIN_EDGES)
         bends = None if bends is None else to_device(_padded(bends, S, 3))
         radii = walls = None
         if smooth is not None:
@@ -187,14 +191,6 @@ class Wireframe(eqx.Module):
     def triangles(self) -> Float[Array, "T 3 3"]:
         """The corners of the faces' triangles, m; padded ones have no area."""
         return self.vertices[self.triangle_vertices]
-
-
-def _rounded(count: int, smallest: int) -> int:
-    """Return `smallest` times the least power of two that makes it at least a count."""
-    size = smallest
-    while size < count:
-        size *= 2
-    return size
 
 
 def _padded(array: np.ndarray, *shape: int) -> np.ndarray:
@@ -258,7 +254,7 @@ def _smooth_edges(
     outline = OutlineSamples.of(model, samples / length)
     if outline is None:
         return None, 0
-    M = _rounded(len(outline.points) + 1, MIN_SMOOTH)
+    M = power_of_two_from(len(outline.points) + 1, MIN_SMOOTH)
     corners, triangle_faces, face_normals = triangles
     # Where all triangles of a face have one orientation, none of them cancels another.
     a, b, c = model.vertices[corners].transpose(1, 0, 2)
@@ -267,7 +263,7 @@ def _smooth_edges(
     is_fan = (triangle_faces & ~outward[:, None]).any(axis=0)
     is_lone = ~is_fan[of_face]
     fans = triangle_faces[:, is_fan]
-    H = _rounded(fans.shape[1], 2)
+    H = power_of_two_from(fans.shape[1], 2)
     arrays = (
         _padded(outline.points, M, 3),
         _padded(outline.parts, M, 3),
@@ -277,7 +273,7 @@ def _smooth_edges(
         _padded(is_lone, padded),
         _padded(fans, padded, H),
     )
-    slots = _rounded(outline.slots, MIN_EDGES)
+    slots = power_of_two_from(outline.slots, MIN_EDGES)
     return SmoothEdges(*map(to_device, arrays), slots=slots), int(outline.patches.max()) + 1
 
 

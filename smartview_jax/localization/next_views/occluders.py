@@ -37,7 +37,7 @@ class Occluder(NamedTuple):
     @classmethod
     def of_triangles(cls, triangles: Float[np.ndarray, "T 3 3"]) -> "Occluder":
         """Return triangles, padded to a number that programs are compiled for."""
-        size = max(MIN_TRIANGLES, power_of_two_from(len(triangles)))
+        size = power_of_two_from(len(triangles), MIN_TRIANGLES)
         # Padded triangles have no area, so that no ray hits them.
         padded = np.pad(triangles, ((0, size - len(triangles)), (0, 0), (0, 0)))
         return cls(padded, None)

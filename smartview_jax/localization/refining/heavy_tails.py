@@ -5,8 +5,8 @@ by many times that, because of a shadow, a rounded corner or print next to them.
 all edges trusts the exact ones too little and the others too much. Here the errors of an edge have
 a bivariate Student's t distribution: a Gaussian whose variance is the variance of the edge's points
 times an unknown factor (Lange, Little and Taylor, "Robust statistical modeling using the t
-distribution", 1989). At the true poses of 8,793 edges in rendered scenes the maximum-likelihood
-distribution has 2.1 degrees of freedom and 0.87 times the points' variance as its scale.
+distribution", 1989). How heavy the tails are differs from picture to picture: the edges themselves
+tell, and what they leave open is averaged over.
 
 The light that a smooth surface turns into sight displaces its outline (`shading`). To first order
 one light displaces all outlines of a view, and is an unknown; the rest still differs little from an
@@ -14,6 +14,7 @@ outline to the next. A fit that takes these errors as independent is then less a
 states. How much they share is seen in the residuals, whose neighbours have the same sign.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,23 +23,28 @@ from jaxtyping import Float
 from ...engine import covariance_factor
 from .pose_equations import CommonErrors, PoseEquations, PoseStep, solve_pose, whitening
 
-DEGREES_OF_FREEDOM = 3.0
-"""Degrees of freedom of Student's t: the smallest whole number with which errors have a variance.
+DEGREES_OF_FREEDOM = np.array([2.0, 3.0, 5.0, 10.0, 30.0, 1000.0])
+"""Degrees of freedom of Student's t that are tried, equally probable beforehand.
 
-These are the heaviest tails for which a covariance can be stated.
+The first makes one edge in ten err by more than four times its scale; the last is a Gaussian.
 """
 
 NUMBERS = 2
 """Numbers of an edge: its distance from the prediction and its tilt."""
 
-INFLATION = (DEGREES_OF_FREEDOM + NUMBERS + 2.0) / (DEGREES_OF_FREEDOM + NUMBERS)
-"""Variance of the Gaussian with the same Fisher information as Student's t of scale one."""
+INFORMATION = (DEGREES_OF_FREEDOM + NUMBERS) / (DEGREES_OF_FREEDOM + NUMBERS + 2.0)
+"""Fisher information of Student's t of scale one, relative to a Gaussian error."""
 
-EDGE_SIGMAS = (0.0, *np.geomspace(0.0025, 1.5, 20))
+EDGE_SIGMAS = tuple(np.geomspace(0.0025, 1.5, 20).tolist())
 """Scales that are tried for an error common to all edges, px, equally probable beforehand.
 
-The distances and the tilts have one each: a rounded corner displaces an edge without a tilt, and so
-does the grain of a surface, by less than the likeliest scale can show.
+No such error is as probable as one of any scale.
+"""
+
+TILTS = (0.0, 0.5, 1.0)
+"""Tilts by such an error over its displacements, equally probable beforehand.
+
+A rounded corner displaces an edge without a tilt; the grain of a surface tilts it by as much.
 """
 
 MAX_LOG_LIKELIHOOD_LOSS = 10.0
@@ -85,31 +91,26 @@ def solve_heavy_tailed(equations: PoseEquations, errors: CommonErrors) -> HeavyT
     """
     unknowns = _Unknowns.of(equations, errors)
     points = np.diagonal(equations.noise).reshape(-1, NUMBERS)
-    weights, (distance, tilt) = np.ones(len(points)), np.eye(NUMBERS)
+    weights = np.ones(len(points))
     if equations.by_light is not None:
         # Where something shades a part of the object, its outline is displaced otherwise.
         by_light = np.abs(equations.by_light).sum(axis=1).reshape(-1, NUMBERS)
-        fit, of_light = _likeliest(unknowns, points, by_light, weights)
-        points, weights = points + np.square(of_light * by_light), fit.weights
-    fit, of_distances = _likeliest(unknowns, points, distance, weights)
-    variances = points + np.square([of_distances, 0.0])
-    fit, of_tilts = _likeliest(unknowns, variances, tilt, fit.weights)
-    # The two hardly depend on each other: one more round for the distances is enough.
-    if of_tilts:
-        variances = points + np.square([0.0, of_tilts])
-        fit, of_distances = _likeliest(unknowns, variances, distance, fit.weights)
-    sigmas = of_distances, of_tilts
-    noise = INFLATION * (points + np.square(sigmas)) / fit.weights[:, None]
+        fit, of_light, _ = _averaged(unknowns, points, [by_light], weights)
+        points, weights = points + of_light, fit.weights
+    shapes = [np.array([1.0, tilt]) for tilt in TILTS]
+    fit, of_edges, missing = _averaged(unknowns, points, shapes, weights)
+    noise = (points + of_edges) / fit.weights[:, None]
     light, common = equations.by_light, 0.0
     if light is not None:
         by_light = light.sum(axis=1)
         alike = np.repeat(np.repeat(light_correlations(equations), 2, axis=0), 2, axis=1)
         shared = alike * np.outer(by_light, by_light)
-        missing = unknowns.covariance_by_shared(noise.ravel(), shared)
-        # In the span of the derivatives a covariance leaves the solution as it is.
-        common = light @ light.T + equations.by_pose @ missing @ equations.by_pose.T
+        missing = missing + unknowns.covariance_by_shared(noise.ravel(), shared)
+        common = light @ light.T
+    # In the span of the derivatives a covariance leaves the solution as it is.
+    common = common + equations.by_pose @ missing @ equations.by_pose.T
     gaussian = equations._replace(noise=np.diag(noise.ravel()) + common, by_light=None)
-    edge_sigma = float(np.sqrt(INFLATION) * of_distances)
+    edge_sigma = float(np.sqrt(of_edges[0] / (fit.tails @ INFORMATION)))
     return HeavyTailedStep(solve_pose(gaussian, errors), gaussian, fit.squared, edge_sigma)
 
 
@@ -174,7 +175,8 @@ class _Fit(NamedTuple):
         whitened: a root of its covariance, `W^T W`.
         squares: of the errors of each edge's numbers, px^2.
         squared: as in `HeavyTailedStep`.
-        weights: updated weights of the edges; one for an edge that is off by its scale.
+        tails: probabilities of `DEGREES_OF_FREEDOM`.
+        weights: updated information of each edge, over the information of a Gaussian error.
     """
 
     solution: Float[np.ndarray, "unknowns"]
@@ -182,6 +184,7 @@ class _Fit(NamedTuple):
     whitened: Float[np.ndarray, "unknowns unknowns"]
     squares: Float[np.ndarray, "edges 2"]
     squared: Float[np.ndarray, "edges"]
+    tails: Float[np.ndarray, "freedoms"]
     weights: Float[np.ndarray, "edges"]
 
     def log_likelihood(
@@ -189,47 +192,79 @@ class _Fit(NamedTuple):
     ) -> float:
         """Return the log-likelihood of the scales, with the unknowns integrated out (Laplace).
 
-        -log p = log|V| / 2 + (nu + 2) / 2 log(1 + e^T V^-1 e / nu) for Student's t; the common
-        errors have their prior, and integrating the unknowns out adds log|A| / 2.
+        The common errors have their prior, and integrating the unknowns out adds log|A| / 2.
         """
-        nu = DEGREES_OF_FREEDOM
-        tails = (nu + NUMBERS) * np.log1p((self.squares / variances).sum(axis=1) / nu).sum()
+        of_edges = np.logaddexp.reduce(_log_tails((self.squares / variances).sum(axis=1)))
         common = self.solution @ prior @ self.solution
         determinant = -2.0 * np.log(np.diagonal(self.whitened)).sum()
-        return -0.5 * float(np.log(variances).sum() + tails + common + determinant)
+        return float(of_edges) - 0.5 * float(np.log(variances).sum() + common + determinant)
 
 
-def _likeliest(
+def _log_tails(squared: Float[np.ndarray, "edges"]) -> Float[np.ndarray, "freedoms"]:
+    """Return the log-likelihoods of `DEGREES_OF_FREEDOM`, but for a constant.
+
+    -log p = log|V| / 2 + (nu + 2) / 2 log(1 + e^T V^-1 e / nu) for two numbers.
+
+    Args:
+        squared: square of each edge's two errors, over their scale.
+    """
+    nu = DEGREES_OF_FREEDOM
+    return -0.5 * (nu + NUMBERS) * np.log1p(squared[:, None] / nu).sum(axis=0)
+
+
+class _Averaged(NamedTuple):
+    """A fit whose edges have a further error of unknown scale, averaged over.
+
+    Attributes:
+        fit: with the expected variance of that error.
+        variance: the expected variance of the two numbers, px^2.
+        spread: of the poses for all scales about that fit; their expected covariance lacks it.
+    """
+
+    fit: _Fit
+    variance: Float[np.ndarray, "*edges 2"]
+    spread: Float[np.ndarray, "6 6"]
+
+
+def _averaged(
     unknowns: _Unknowns,
     variances: Float[np.ndarray, "edges 2"],
-    shape: Float[np.ndarray, "*edges 2"],
+    shapes: Sequence[Float[np.ndarray, "*edges 2"]],
     weights: Float[np.ndarray, "edges"],
-) -> tuple[_Fit, float]:
-    """Return the fit with the expected variance of an error that all edges have, and its scale.
+) -> _Averaged:
+    """Return the fit with an error that all edges have, averaged over the error's scale.
 
     Few edges cannot tell a small scale from none, so that the likeliest one would often be zero.
 
     Args:
         unknowns: the equations.
         variances: of the edges' other errors.
-        shape: standard deviations of the two numbers by an error of the scale one.
+        shapes: standard deviations of the two numbers by an error of the scale one; any of these.
         weights: initial weights of the edges.
     """
-    fits, logs = list[_Fit](), list[float]()
-    for sigma in EDGE_SIGMAS:
-        scaled = variances + np.square(sigma * shape)
+    further = [np.zeros_like(shapes[0])]
+    fits = [_fit(unknowns, variances, weights)]
+    logs = [fits[0].log_likelihood(unknowns.prior, variances)]
+    for shape in shapes:
         # The weights of one scale are a good start for the next.
-        fits.append(_fit(unknowns, scaled, fits[-1].weights if fits else weights))
-        logs.append(fits[-1].log_likelihood(unknowns.prior, scaled))
-        if logs[-1] < max(logs) - MAX_LOG_LIKELIHOOD_LOSS:
-            break
+        fit, best = fits[0], -np.inf
+        for sigma in EDGE_SIGMAS:
+            variance = np.square(sigma * shape)
+            fit = _fit(unknowns, variances + variance, fit.weights)
+            log = fit.log_likelihood(unknowns.prior, variances + variance)
+            further.append(variance)
+            fits.append(fit)
+            logs.append(log)
+            best = max(best, log)
+            if log < best - MAX_LOG_LIKELIHOOD_LOSS:
+                break
     probabilities = np.exp(np.array(logs) - max(logs))
-    # No such error is as probable beforehand as one of any scale.
-    probabilities[0] *= len(EDGE_SIGMAS) - 1
-    squares = np.square(EDGE_SIGMAS[: len(logs)])
-    sigma = float(np.sqrt(probabilities @ squares / probabilities.sum()))
-    scaled = variances + np.square(sigma * shape)
-    return _fit(unknowns, scaled, fits[int(np.argmax(logs))].weights), sigma
+    probabilities[0] *= len(shapes) * len(EDGE_SIGMAS)
+    probabilities /= probabilities.sum()
+    variance = np.tensordot(probabilities, np.stack(further), axes=1)
+    fit = _fit(unknowns, variances + variance, fits[int(probabilities.argmax())].weights)
+    off = np.stack([each.solution[:6] - fit.solution[:6] for each in fits])
+    return _Averaged(fit, variance, (off.T * probabilities) @ off)
 
 
 def _fit(
@@ -254,15 +289,15 @@ def _reweighted(
 ) -> _Fit:
     """Return the pose that fits best with given weights of the edges, and updated weights.
 
-    Given its weight w an edge is Gaussian with the variance v / w, and given the pose the expected
-    weight is (nu + 2) / (nu + s), with s the expected square of its errors over v.
+    Given its factor w an edge is Gaussian with the variance v / w, and given the pose the expected
+    factor is (nu + 2) / (nu + s), with s the expected square of its errors over v. It is one on
+    average, more than the information. The heaviness nu of the tails has its probabilities.
     """
     r, G, prior = unknowns
-    nu = DEGREES_OF_FREEDOM
     # Least squares A x = G^T W r, A = G^T W G + prior. The covariance of x adds to the expected
     # squares of the errors: e^2 + diag(G A^-1 G^T). With W_A^T W_A = A^-1 this is the sum of
     # squares in each column of W_A G^T, which rounding cannot make negative.
-    rows = (weights[:, None] / (INFLATION * variances)).reshape(-1, 1) * G
+    rows = (weights[:, None] / variances).reshape(-1, 1) * G
     information = G.T @ rows + prior
     whitened = whitening(information)
     solution = whitened.T @ (whitened @ (rows.T @ r))
@@ -270,7 +305,10 @@ def _reweighted(
     spread = G @ whitened.T
     spread = np.einsum("ij,ij->i", spread, spread).reshape(-1, NUMBERS)
     squared = ((squares + spread) / variances).sum(axis=1)
-    return _Fit(solution, information, whitened, squares, squared, (nu + NUMBERS) / (nu + squared))
+    logs, nu = _log_tails(squared), DEGREES_OF_FREEDOM
+    tails = np.exp(logs - np.logaddexp.reduce(logs))
+    weights = ((nu + NUMBERS) / (nu + squared[:, None])) @ (tails * INFORMATION)
+    return _Fit(solution, information, whitened, squares, squared, tails, weights)
 
 
 def light_correlations(equations: PoseEquations) -> Float[np.ndarray, "edges edges"]:

@@ -13,7 +13,7 @@ all edges of a view counts once, not once per edge.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from ...engine import inverse_cholesky_factor
@@ -33,7 +33,7 @@ class UndeterminedPoseError(ValueError):
 
 
 class PoseEquations(NamedTuple):
-    """Linear equations about one pose or several, px, in blocks of one feature each.
+    """Linear equations about one pose or several, px.
 
     Attributes:
         residuals: measured minus predicted.
@@ -41,7 +41,6 @@ class PoseEquations(NamedTuple):
         noise: covariance of the measurement noise in the pictures, px^2.
         by_calibration: derivatives by the numbers of a `CalibrationUncertainty`.
         by_vertices: derivatives by the coordinates of the model's vertices, px/m.
-        block: index of the feature that each equation belongs to.
         by_light: derivatives by the light in each view, in its standard deviations; None where no
             light displaces an edge, or where `noise` contains what it does.
     """
@@ -51,20 +50,7 @@ class PoseEquations(NamedTuple):
     noise: Float[np.ndarray, "n n"]
     by_calibration: Float[np.ndarray, "n numbers"]
     by_vertices: Float[np.ndarray, "n coordinates"]
-    block: Int[np.ndarray, "n"]
     by_light: Float[np.ndarray, "n lights"] | None = None
-
-    def of(self, keep: Bool[np.ndarray, "n"]) -> "PoseEquations":
-        """Return the selected equations."""
-        return PoseEquations(
-            self.residuals[keep],
-            self.by_pose[keep],
-            self.noise[np.ix_(keep, keep)],
-            self.by_calibration[keep],
-            self.by_vertices[keep],
-            self.block[keep],
-            None if self.by_light is None else self.by_light[keep],
-        )
 
 
 class CommonErrors(NamedTuple):
@@ -276,7 +262,6 @@ def line_equations(
         np.diag(np.ravel(lines.variances[view, edge])),
         by_calibration,
         by_vertices,
-        np.repeat(np.arange(count), 2),
         by_light,
     )
 

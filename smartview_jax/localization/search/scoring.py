@@ -18,7 +18,7 @@ from ...features import DISTANCE_STEP, FAR, ORIENTATIONS, UNSEEN, PictureEvidenc
 from ...modeling import SeenViews
 from ...runtime.array_namespace import to_device
 from ...runtime.compilation import compiled_optimised
-from ...runtime.padding import in_batches
+from ...runtime.padding import in_batches, power_of_two_from
 from ..edges import Wireframe, centre_in_object, hidden_samples, samples_turned_away, with_outline
 
 POSES_PER_CALL = 1024
@@ -28,7 +28,7 @@ POSES_PER_CHUNK = 32
 """Number of poses computed at once: their samples fit in the processor's cache."""
 
 MIN_MAP_POINTS = 4096
-"""The number of map points is rounded up to this number times a power of two."""
+"""Smallest number of map points; larger ones are rounded up to a power of two."""
 
 
 class SceneMaps(eqx.Module):
@@ -66,10 +66,8 @@ class SceneMaps(eqx.Module):
                 f"least one; found {len(evidence)}"
             )
         maps = [view.maps for view in evidence]
-        # A power of two; otherwise every new number of segments would compile all programs again.
-        size = MIN_MAP_POINTS
-        while size < max(len(view.points) for view in maps):
-            size *= 2
+        # Otherwise every new number of segments would compile all programs again.
+        size = power_of_two_from(max(len(view.points) for view in maps), MIN_MAP_POINTS)
 
         def padded(parts: list[np.ndarray]) -> np.ndarray:
             return np.stack([np.pad(part, ((0, size - len(part)), (0, 0))) for part in parts])

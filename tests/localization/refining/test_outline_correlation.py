@@ -31,7 +31,6 @@ def outlines_of(rng, views=2):
         0.02**2 * np.eye(2 * OUTLINES),
         np.zeros((2 * OUTLINES, 0)),
         np.zeros((2 * OUTLINES, 0)),
-        np.repeat(np.arange(OUTLINES), 2),
         by_light,
     )
 

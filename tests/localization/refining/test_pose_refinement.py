@@ -62,7 +62,6 @@ def corner_equations(pixels, views, pose, uncertainty):
         SIGMA**2 * np.eye(count),
         (seen.by_view @ uncertainty.view_jacobian[:, None]).reshape(count, -1),
         np.zeros((count, 0)),
-        np.repeat(np.arange(count // 2), 2),
     )
 
 
