@@ -148,6 +148,10 @@ def in_a_unit_of_its_own(seen):
     seen[:, :3, 3] *= 0.15
 
 
+def in_a_unit_near_a_factor_of_ten(seen):
+    seen[:, :3, 3] *= 0.102
+
+
 @pytest.mark.parametrize(
     ("wrong", "text"),
     [
@@ -156,6 +160,7 @@ def in_a_unit_of_its_own(seen):
         (y_backwards, "in the tracked poses the positions are in a left-handed frame, or y has"),
         (in_millimetres, "the tracked positions look like millimetres where metres are expected"),
         (in_a_unit_of_its_own, "the tracker moved 0.15 times as far as the robot: its unit of len"),
+        (in_a_unit_near_a_factor_of_ten, "Or is the tracker's unit its own, as of a single moving"),
     ],
 )
 def test_mistakes_of_a_tracker_are_not_put_on_the_robot(poses, wrong, text):
