@@ -88,8 +88,9 @@ def length_unit_problems(
         words = words or "robot positions and target points are not in the same unit"
         # A single moving camera has any unit, also one near a factor of ten.
         own = (
-            f". Or is the tracker's unit its own, as of a single moving camera? {_ESTIMATED_UNIT}"
-            if tracked
+            ". If the robot's positions are right, the tracker's unit may be its own, as of a "
+            f"single moving camera. {_ESTIMATED_UNIT}"
+            if tracked and median_distance(robot[used]) < MAX_PLAUSIBLE_DISTANCE
             else ""
         )
         return (f"{words}: the camera moved {ratio:.3g} times as far as the robot{own}",)

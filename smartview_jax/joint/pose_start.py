@@ -32,7 +32,8 @@ from .tracker_noise import TrackedChain, TrackerPrior, likeliest_noise, measured
 from .undetermined import require_moving_robot
 
 MIN_SHARE_WITHOUT_DOUBT = 2.0 / 3.0
-"""Share of agreeing pairs below which a mistake in all pairs is asked for, at some cost."""
+"""Share of agreeing pairs below which a mistake in all pairs is asked for, at some cost, and a
+warning says that the others are left out."""
 
 NO_CAMERA = Camera(1.0, 1.0, 0.0, 0.0, Pinhole(), (1, 1))
 """The camera of a calibration whose camera nobody stated."""
@@ -130,17 +131,23 @@ def _agreement(
     return of_most if others_are_wrong(chain_of(of_most), chain_of(agreement)) else agreement
 
 
-def _wrong_of_few(data: PoseDataset, agreement: _Agreement) -> tuple[str, ...]:
-    """Return that some of few pairs are left out, in a sentence."""
-    wrong, total = np.flatnonzero(data.seen & ~agreement.consistent), int(data.seen.sum())
-    if total > MINIMUM_RELIABLE_VIEWS or not len(wrong):
+def _many_left_out(data: PoseDataset, agreement: _Agreement) -> tuple[str, ...]:
+    """Return that many of the pairs are left out, or some of few, in a sentence."""
+    wrong = np.flatnonzero(data.seen & ~agreement.consistent)
+    total, rest = int(data.seen.sum()), int(agreement.consistent.sum())
+    if total <= MINIMUM_RELIABLE_VIEWS:
+        advice = "Measure again: of so few pairs each counts"
+    elif rest < MIN_SHARE_WITHOUT_DOUBT * total:
+        advice = "Where so many are wrong, the others may be wrong instead"
+    else:
+        return ()
+    if not len(wrong):
         return ()
     names = listed_views([data.view_ids[view] for view in wrong])
     verbs = ("contradicts", "is") if len(wrong) == 1 else ("contradict", "are")
     return (
-        f"{names} {verbs[0]} the other {total - len(wrong)} pairs and {verbs[1]} left out: were "
-        "robot and tracker read at the same time, or was another target tracked? Measure again: of "
-        "so few pairs each counts",
+        f"{names} {verbs[0]} the other {rest} pairs and {verbs[1]} left out: were robot and "
+        f"tracker read at the same time, or was another target tracked? {advice}",
     )
 
 
@@ -258,8 +265,8 @@ def _check_conventions(data: PoseDataset, agreement: _Agreement) -> tuple[tuple[
     if report.problems:
         raise ValueError("; ".join(report.problems))
     unit_doubt = abs(report.length_ratio - 1.0) / report.length_ratio_std
-    of_fault = () if fault is None else (fault.sentence,)
-    return (*_wrong_of_few(data, agreement), *of_fault, *report.doubts), unit_doubt
+    of_views = _many_left_out(data, agreement) if fault is None else (fault.sentence,)
+    return of_views + report.doubts, unit_doubt
 
 
 def blank_calibration(data: PoseDataset) -> Calibration:

@@ -402,7 +402,9 @@ def test_a_target_that_was_moved_between_two_pairs_is_named():
     assert text.startswith("from view 8 on, the views contradict the earlier ones, as if the targ")
     robot, turned_over = tracked(4)
     turned_over[1::2, :3, :2] *= -1.0
-    assert start_from_poses(PoseDataset.from_poses(robot, turned_over)).ambiguities == ()
+    (text,) = start_from_poses(PoseDataset.from_poses(robot, turned_over)).ambiguities
+    assert text.startswith("views ")
+    assert text.endswith("Where so many are wrong, the others may be wrong instead")
 
 
 def test_a_moved_target_is_named_where_no_mistake_explains_the_pairs():
