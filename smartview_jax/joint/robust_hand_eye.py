@@ -71,7 +71,7 @@ def robust_hand_eye(
     views = np.flatnonzero(seen)
     T, C = mount_from_holder[views], camera_from_world[views]
     if len(views) <= MINIMUM_RELIABLE_VIEWS:
-        # Too few to tell which are wrong.
+        # Too few to tell which are wrong without their evidence (`few_pairs`).
         all_pairs = _solved(T, C, np.arange(len(views)), scale)
         is_solved = np.isfinite(all_pairs.cost) or not scale
         return all_pairs.factor if is_solved else _scale_of(T, C), seen

@@ -138,10 +138,10 @@ class LikeliestVariances(NamedTuple):
 
     @property
     def log_density_over_evidence(self) -> float:
-        """What `evidence` lacks to be the log density of the poses, m and rad, over all unknowns.
+        """The log density of the poses (m, rad), whatever the unknowns are, over `evidence`.
 
-        With it also different pairs are compared. The unknowns, which have a flat density, may have
-        any values; it is minus infinity if the pairs do not tell all of them.
+        The sum compares different pairs. The density of the unknowns is flat; it is minus infinity
+        if the pairs do not tell all of them.
         """
         by_unknowns = self.pairs.by_unknowns
         views, numbers, unknowns = by_unknowns.shape
