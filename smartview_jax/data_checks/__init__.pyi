@@ -10,6 +10,7 @@ from .changes import find_change as find_change
 from .closure import closure_error as closure_error
 from .closure import relative_motions as relative_motions
 from .convention_hypotheses import ConventionHypothesis as ConventionHypothesis
+from .convention_hypotheses import listed_views as listed_views
 from .conventions import ConventionReport as ConventionReport
 from .conventions import check_conventions as check_conventions
 from .exchanged_cameras import exchanged_cameras as exchanged_cameras

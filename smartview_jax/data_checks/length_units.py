@@ -50,6 +50,8 @@ MAX_UNIT_ERROR = 0.2
 MAX_PLAUSIBLE_DISTANCE = 30.0
 """Distance in metres beyond the reach of any arm and beyond any target's distance."""
 
+_ESTIMATED_UNIT = "Have it estimated (scale=True, or smartview calibrate --free target_scale)"
+
 
 def mistaken_unit(ratio: float, tolerance: float = UNIT_TOLERANCE) -> str:
     """Return which unit was mistaken for which, in words, or nothing if the ratio is of none.
@@ -81,18 +83,24 @@ def length_unit_problems(
         if tracked and not words:
             return (
                 f"the tracker moved {ratio:.3g} times as far as the robot: its unit of length is "
-                "its own, as of a single moving camera. Have it estimated (scale=True, or "
-                "smartview calibrate --free target_scale)",
+                f"its own, as of a single moving camera. {_ESTIMATED_UNIT}",
             )
         words = words or "robot positions and target points are not in the same unit"
-        return (f"{words}: the camera moved {ratio:.3g} times as far as the robot",)
+        # A single moving camera has any unit, also one near a factor of ten.
+        own = (
+            ". If the robot's positions are right, the tracker's unit may be its own, as of a "
+            f"single moving camera. {_ESTIMATED_UNIT}"
+            if tracked and median_distance(robot[used]) < MAX_PLAUSIBLE_DISTANCE
+            else ""
+        )
+        return (f"{words}: the camera moved {ratio:.3g} times as far as the robot{own}",)
     # Both may be in the same wrong unit: their ratio is then 1, and only the distances show it.
     problems = []
     for poses, template in (
         (robot, "the tool is reported {:.0f} m from the base"),
         (camera, "the target seems to be {:.0f} m from the camera"),
     ):
-        distance = float(np.median(np.linalg.norm(poses[used, :3, 3], axis=1)))
+        distance = median_distance(poses[used])
         if distance > MAX_PLAUSIBLE_DISTANCE:
             problems.append(f"{template.format(distance)}: millimetres where metres are expected?")
     return tuple(problems)

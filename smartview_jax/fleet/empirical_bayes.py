@@ -28,6 +28,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
 
+from ..argument_checks import require_instance
 from ..joint import JointFit
 from ..robot_errors import RobotPrior, arm_parameters
 from ..runtime.blas_threads import on_one_blas_thread
@@ -103,6 +104,7 @@ def fleet_prior(fits: Iterable[JointFit], general: RobotPrior | None = None) -> 
             it is the prior of a type, are not used.
 
     Raises:
+        TypeError: a fit that is no `JointFit`.
         ValueError: fewer than two fits, a fit with given noise, or fits whose models of the robot
             error differ, as with and without joint readings.
 
@@ -236,6 +238,7 @@ def _relative_change(first: RobotPrior, second: RobotPrior) -> float:
 
 def _evidence_of(number: int, fit: JointFit) -> RobotEvidence:
     """Return what the views of a fit say about the sizes of its robot's errors."""
+    require_instance(f"fits[{number}]", fit, JointFit, "calibrate(...).joint is one")
     estimate = fit.noise_estimate
     if estimate is None or estimate.robot_evidence is None:
         raise ValueError(

@@ -11,8 +11,11 @@ from typing import Any, NamedTuple
 from ..calibration_pipeline import CalibrationFit, calibrate
 from ..dataset import Dataset
 from ..io import load_dataset
-from ..joint import JointOptions
+from ..joint import JointOptions, PoseFit, TrackedPoses, fit_poses
 from .execution import outcomes
+
+ManyData = Dataset | TrackedPoses | str | os.PathLike[str]
+"""One of many data sets: with pictures, with tracked poses, or the folder of either."""
 
 
 class ManyOutcome(NamedTuple):
@@ -21,13 +24,13 @@ class ManyOutcome(NamedTuple):
     Attributes:
         number: position of the data set in the order in which they were given, from zero.
         name: the folder's name, or else `data set <index>`.
-        fit: the calibration; None after an error.
+        fit: the calibration, of tracked poses a `PoseFit`; None after an error.
         error: the error; None if there is a calibration.
     """
 
     number: int
     name: str
-    fit: CalibrationFit | None
+    fit: CalibrationFit | PoseFit | None
     error: Exception | None
 
     def __str__(self) -> str:
@@ -35,7 +38,7 @@ class ManyOutcome(NamedTuple):
 
 
 def calibrate_many(
-    datasets: Iterable[Dataset | str | os.PathLike[str]],
+    datasets: Iterable[ManyData],
     executor: Executor | int | None = None,
     *,
     progress: Callable[[str], None] | None = None,
@@ -55,14 +58,15 @@ def calibrate_many(
     process imports the script.
 
     Args:
-        datasets: data sets of any shapes, or folders, which the workers load.
+        datasets: data sets of any shapes, or folders, which the workers load. Those with tracked
+            poses, a `PoseDataset` or `PoseSamples` or the folder of one, are fitted by `fit_poses`.
         executor: any executor of `concurrent.futures`, such as the one of a Dask client; a
             number of processes of this machine; or None for as many as there are processors.
         progress: called with a line of text after each data set.
-        options: options of `calibrate`, the same for all.
+        options: options of `calibrate`, or of `fit_poses` for tracked poses, the same for all.
 
     Raises:
-        TypeError: an unknown option, or an executor of another kind.
+        TypeError: an unknown option, a single data set, or an executor of another kind.
         ValueError: a number of processes below one.
         RuntimeError: worker processes cannot be started.
 
@@ -77,9 +81,14 @@ def calibrate_many(
         data set 0 - CalibrationFit NoneType
         data set 1 - NoneType ValueError
     """
-    known = {*signature(calibrate).parameters, *JointOptions.__annotations__}
-    for name in options.keys() - (known - {"data", "joint_options"}):
-        raise TypeError(f"calibrate_many: {name!r} is no option of calibrate")
+    known = {*_options_of(calibrate), *_options_of(fit_poses), *JointOptions.__annotations__}
+    for name in options.keys() - (known - {"joint_options"}):
+        raise TypeError(f"calibrate_many: {name!r} is no option of calibrate or fit_poses")
+    if isinstance(datasets, Dataset | TrackedPoses | str | os.PathLike):
+        raise TypeError(
+            "datasets: expected a list of data sets or folders, found a single "
+            f"{type(datasets).__name__}"
+        )
     if not isinstance(executor, Executor | int | None):
         raise TypeError(
             f"executor: expected a concurrent.futures.Executor or a number of processes, found "
@@ -91,7 +100,7 @@ def calibrate_many(
 
 
 def _calibrations(
-    datasets: Iterable[Dataset | str | os.PathLike[str]],
+    datasets: Iterable[ManyData],
     executor: Executor | int | None,
     progress: Callable[[str], None],
     options: dict[str, Any],
@@ -102,7 +111,7 @@ def _calibrations(
     # Only the names of data sets in work are kept.
     names: dict[int, str] = {}
 
-    def named() -> Iterator[Dataset | str | os.PathLike[str]]:
+    def named() -> Iterator[ManyData]:
         for index, dataset in enumerate(datasets):
             names[index] = _name_of(index, dataset)
             yield dataset
@@ -114,13 +123,21 @@ def _calibrations(
         yield ManyOutcome(outcome.number, name, outcome.result, outcome.error)
 
 
-def _name_of(index: int, dataset: Dataset | str | os.PathLike[str]) -> str:
-    return f"data set {index}" if isinstance(dataset, Dataset) else Path(dataset).resolve().name
+def _name_of(index: int, dataset: ManyData) -> str:
+    is_folder = isinstance(dataset, str | os.PathLike)
+    return Path(dataset).resolve().name if is_folder else f"data set {index}"
 
 
-def _calibrate_one(
-    dataset: Dataset | str | os.PathLike[str], options: dict[str, Any]
-) -> CalibrationFit:
+def _calibrate_one(dataset: ManyData, options: dict[str, Any]) -> CalibrationFit | PoseFit:
     """Load a data set if it is a folder, and calibrate it."""
-    data = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
-    return calibrate(data, **options)
+    data = load_dataset(dataset) if isinstance(dataset, str | os.PathLike) else dataset
+    if not isinstance(data, TrackedPoses):
+        return calibrate(data, **options)
+    for name in options.keys() - _options_of(fit_poses):
+        raise TypeError(f"{name!r} is no option of fit_poses, which takes tracked poses")
+    return fit_poses(data, **options)
+
+
+def _options_of(fit: Callable[..., Any]) -> set[str]:
+    """Return the names of a function's arguments without the first, which are the data."""
+    return {*list(signature(fit).parameters)[1:]}

@@ -23,6 +23,7 @@ from .parameter_estimates import parameter_estimates as parameter_estimates
 from .plausibility import MAX_ROTATION_HALF_WIDTH as MAX_ROTATION_HALF_WIDTH
 from .plausibility import MAX_TRANSLATION_HALF_WIDTH as MAX_TRANSLATION_HALF_WIDTH
 from .pose_fit import PoseFit as PoseFit
+from .pose_fit import TrackedPoses as TrackedPoses
 from .pose_fit import fit_poses as fit_poses
 from .pose_rounds import pose_rms as pose_rms
 from .pose_rounds import tracked_pose_errors as tracked_pose_errors

@@ -128,9 +128,9 @@ class PoseRounds(NamedTuple):
         scale, choice = options.scale, options.choice
         require_moving_robot(data, blank, choice)
         may_drift = not (data.states_covariance or choice.fixed or choice.priors)
-        begin = start_of_poses(data, blank, start, scale)
+        errors = options.robot_prior, options.tracker_prior
+        begin = start_of_poses(data, blank, start, scale, *errors)
         if may_drift and not scale and begin.unit_doubt > MIN_UNIT_DOUBT:
-            errors = options.robot_prior, options.tracker_prior
             begin = start_in_likelier_unit(data, blank, start, begin, *errors)
             if begin.in_own_unit:
                 options = options.fitting_scale().without_target()

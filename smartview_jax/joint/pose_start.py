@@ -9,8 +9,14 @@ from jaxtyping import Bool
 
 from ..calibration import Calibration
 from ..cameras import Camera, Pinhole
-from ..data_checks import ConventionReport, RobotAndCamera, check_conventions, find_shared_fault
-from ..dataset import PoseDataset
+from ..data_checks import (
+    ConventionReport,
+    RobotAndCamera,
+    check_conventions,
+    find_shared_fault,
+    listed_views,
+)
+from ..dataset import MINIMUM_RELIABLE_VIEWS, PoseDataset
 from ..engine import ParameterChoice
 from ..geometry import PoseLike, host_matrices, host_transforms
 from ..hand_eye import solve_hand_eye
@@ -19,13 +25,15 @@ from ..runtime.array_namespace import to_device
 from ..runtime.blas_threads import on_one_blas_thread
 from ..staged import known_transforms
 from .drifting_tracker import LikeliestDrift, likeliest_drift
+from .few_pairs import others_are_wrong
 from .gross_errors import without_views
-from .robust_hand_eye import robust_hand_eye
+from .robust_hand_eye import likeliest_agreement, robust_hand_eye
 from .tracker_noise import TrackedChain, TrackerPrior, likeliest_noise, measured_in_metres
 from .undetermined import require_moving_robot
 
 MIN_SHARE_WITHOUT_DOUBT = 2.0 / 3.0
-"""Share of agreeing pairs below which a mistake in all pairs is asked for, at some cost."""
+"""Share of agreeing pairs below which a mistake in all pairs is asked for, at some cost, and a
+warning says that the others are left out."""
 
 NO_CAMERA = Camera(1.0, 1.0, 0.0, 0.0, Pinhole(), (1, 1))
 """The camera of a calibration whose camera nobody stated."""
@@ -61,20 +69,25 @@ def start_from_poses(data: PoseDataset) -> PoseStart:
     """
     blank = blank_calibration(data)
     require_moving_robot(data, blank, ParameterChoice.of())
-    return start_of_poses(data, blank, None, False)
+    return start_of_poses(data, blank, None, False, RobotPrior(), TrackerPrior())
 
 
 def start_of_poses(
-    data: PoseDataset, blank: Calibration, start: Mapping[str, PoseLike] | None, scale: bool
+    data: PoseDataset,
+    blank: Calibration,
+    start: Mapping[str, PoseLike] | None,
+    scale: bool,
+    robot_prior: RobotPrior,
+    tracker_prior: TrackerPrior,
 ) -> PoseStart:
     """Return a calibration near the solution, and the pairs that agree with it.
 
     Args:
         data: the pairs.
         blank: a calibration with the tracker's camera.
-        start, scale: as in `fit_poses`.
+        start, scale, robot_prior, tracker_prior: as in `fit_poses`.
     """
-    agreement = _agreement(data, scale)
+    agreement = _agreement(data, blank, scale, robot_prior, tracker_prior)
     ambiguities, unit_doubt = _check_conventions(data, agreement)
     calibration = _step3(data, blank, start, agreement)
     return PoseStart(calibration, agreement.consistent, ambiguities, unit_doubt)
@@ -92,10 +105,50 @@ class _Agreement(NamedTuple):
     consistent: Bool[np.ndarray, "views"]
 
 
-def _agreement(data: PoseDataset, scale: bool) -> _Agreement:
+def _agreement(
+    data: PoseDataset,
+    blank: Calibration,
+    scale: bool,
+    robot_prior: RobotPrior,
+    tracker_prior: TrackerPrior,
+) -> _Agreement:
     """Return where robot and tracker agree, with the tracker's unit as stated or unknown."""
-    mount_from_holder = host_matrices(data.mount_from_holder)
-    return _Agreement(*robust_hand_eye(mount_from_holder, data.tracked_matrices, data.seen, scale))
+    poses = host_matrices(data.mount_from_holder), data.tracked_matrices, data.seen
+    agreement = _Agreement(*robust_hand_eye(*poses, scale))
+    if data.seen.sum() > MINIMUM_RELIABLE_VIEWS:
+        return agreement
+    found = likeliest_agreement(*poses, scale)
+    if found is None:
+        return agreement
+
+    def chain_of(pairs: _Agreement) -> TrackedChain:
+        others = dict.fromkeys(np.flatnonzero(data.seen & ~pairs.consistent).tolist(), "")
+        calibration = _step3(data, blank, None, pairs)
+        errors = robot_prior, tracker_prior
+        return TrackedChain(without_views(data, others), calibration, scale, *errors)
+
+    of_most = _Agreement(*found)
+    return of_most if others_are_wrong(chain_of(of_most), chain_of(agreement)) else agreement
+
+
+def _many_left_out(data: PoseDataset, agreement: _Agreement) -> tuple[str, ...]:
+    """Return that many of the pairs are left out, or some of few, in a sentence."""
+    wrong = np.flatnonzero(data.seen & ~agreement.consistent)
+    total, rest = int(data.seen.sum()), int(agreement.consistent.sum())
+    if total <= MINIMUM_RELIABLE_VIEWS:
+        advice = "Measure again: of so few pairs each counts"
+    elif rest < MIN_SHARE_WITHOUT_DOUBT * total:
+        advice = "Where so many are wrong, the others may be wrong instead"
+    else:
+        return ()
+    if not len(wrong):
+        return ()
+    names = listed_views([data.view_ids[view] for view in wrong])
+    verbs = ("contradicts", "is") if len(wrong) == 1 else ("contradict", "are")
+    return (
+        f"{names} {verbs[0]} the other {rest} pairs and {verbs[1]} left out: were robot and "
+        f"tracker read at the same time, or was another target tracked? {advice}",
+    )
 
 
 def _step3(
@@ -142,7 +195,7 @@ def start_in_likelier_unit(
         given: the start with the tracker's unit as stated.
         robot_prior, tracker_prior: as in `fit_poses`.
     """
-    agreement = _agreement(data, True)
+    agreement = _agreement(data, blank, True, robot_prior, tracker_prior)
     scaled = _step3(data, blank, start, agreement)
     others = np.flatnonzero(~(given.consistent & agreement.consistent))
     agreeing = without_views(data, dict.fromkeys(others.tolist(), ""))
@@ -212,7 +265,8 @@ def _check_conventions(data: PoseDataset, agreement: _Agreement) -> tuple[tuple[
     if report.problems:
         raise ValueError("; ".join(report.problems))
     unit_doubt = abs(report.length_ratio - 1.0) / report.length_ratio_std
-    return (() if fault is None else (fault.sentence,)) + report.doubts, unit_doubt
+    of_views = _many_left_out(data, agreement) if fault is None else (fault.sentence,)
+    return of_views + report.doubts, unit_doubt
 
 
 def blank_calibration(data: PoseDataset) -> Calibration:

@@ -36,6 +36,9 @@ MIN_AGREEING, MIN_SHARE = 5, 1.0 / 3.0
 """Smallest number of agreeing pairs, and their smallest share, that are no chance: of pairs in
 random order three agree, those from which a solution was found."""
 
+SOLVED_PAIRS = 3
+"""Number of pairs from which a solution is found."""
+
 MIXTURE_ROUNDS = 20
 """Number of rounds in which errors and membership are estimated in turn."""
 
@@ -68,21 +71,59 @@ def robust_hand_eye(
     views = np.flatnonzero(seen)
     T, C = mount_from_holder[views], camera_from_world[views]
     if len(views) <= MINIMUM_RELIABLE_VIEWS:
-        # Too few to tell which are wrong.
+        # Too few to tell which are wrong without their evidence (`few_pairs`).
         all_pairs = _solved(T, C, np.arange(len(views)), scale)
         is_solved = np.isfinite(all_pairs.cost) or not scale
         return all_pairs.factor if is_solved else _scale_of(T, C), seen
-    solved = _solved_triples(T, C, _triples(len(views)), scale)
-    likeliest = sorted(solved, key=lambda solution: solution.cost)[:REFINED]
-    refined = [_refined(T, C, solution, scale) for solution in likeliest]
-    best = min(refined, key=lambda solution: solution.cost)
+    best = _best_refined(T, C, _likeliest_of_triples(T, C, scale), scale)
     if not np.isfinite(best.cost):
         return _scale_of(T, C) if scale else 1.0, seen
     if best.agree.sum() < max(MIN_AGREEING, MIN_SHARE * len(views)):
         return best.factor, seen
+    return best.factor, _mask_of(best, seen)
+
+
+def likeliest_agreement(
+    mount_from_holder: _Matrices,
+    camera_from_world: _Matrices,
+    seen: Bool[np.ndarray, "views"],
+    scale: bool,
+) -> tuple[float, Bool[np.ndarray, "views"]] | None:
+    """Return the likeliest unit and pairs that agree where others do not, of however few pairs.
+
+    They may agree by chance. Arguments and result are as in `robust_hand_eye`; None if all pairs
+    agree, or not most of them, or no more than a solution is made of.
+    """
+    views = np.flatnonzero(seen)
+    T, C = mount_from_holder[views], camera_from_world[views]
+    likeliest = _likeliest_of_triples(T, C, scale)
+    if likeliest[0].agree.all():
+        return None
+    best = _best_refined(T, C, likeliest, scale)
+    least = max(SOLVED_PAIRS + 1, len(views) // 2 + 1)
+    is_found = np.isfinite(best.cost) and least <= best.agree.sum() < len(views)
+    return (best.factor, _mask_of(best, seen)) if is_found else None
+
+
+def _likeliest_of_triples(T: _Matrices, C: _Matrices, scale: bool) -> list["_Solution"]:
+    """Return the likeliest solutions that triples of pairs lead to, the best first."""
+    solved = _solved_triples(T, C, _triples(len(T)), scale)
+    return sorted(solved, key=lambda solution: solution.cost)[:REFINED]
+
+
+def _best_refined(
+    T: _Matrices, C: _Matrices, likeliest: list["_Solution"], scale: bool
+) -> "_Solution":
+    """Return the likeliest of some solutions after each was solved from all that agree with it."""
+    refined = [_refined(T, C, solution, scale) for solution in likeliest]
+    return min(refined, key=lambda solution: solution.cost)
+
+
+def _mask_of(solution: "_Solution", seen: Bool[np.ndarray, "views"]) -> Bool[np.ndarray, "views"]:
+    """Return the pairs that agree with a solution of those that were seen, as a mask of all."""
     agree = np.zeros_like(seen)
-    agree[views[best.agree]] = True
-    return best.factor, agree
+    agree[np.flatnonzero(seen)[solution.agree]] = True
+    return agree
 
 
 def _refined(T: _Matrices, C: _Matrices, solution: "_Solution", scale: bool) -> "_Solution":

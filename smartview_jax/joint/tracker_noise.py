@@ -123,6 +123,11 @@ class NoiseHypothesis(NamedTuple):
         """The step of the unknowns from `transforms` to the best chain."""
         return self.likeliest.pairs.solved(self.variances)
 
+    @property
+    def log_density(self) -> float:
+        """The logarithm of the density of the poses, m and rad, whatever their chain is."""
+        return self.evidence + self.likeliest.log_density_over_evidence
+
     def offset_from(self, other: "NoiseHypothesis") -> Float[np.ndarray, "unknowns"]:
         """Return the step of the unknowns from the transforms of another hypothesis to these."""
         steps = host_logarithms(np.stack(self.transforms) @ np.linalg.inv(other.transforms))

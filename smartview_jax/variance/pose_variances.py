@@ -136,6 +136,24 @@ class LikeliestVariances(NamedTuple):
         # log Z = -D / 2 - log det(I / 2 pi) / 2, in which the 2 pi of as many priors cancel.
         return -0.5 * (self.deviance + float(np.linalg.slogdet(self.information)[1]))
 
+    @property
+    def log_density_over_evidence(self) -> float:
+        """The log density of the poses (m, rad), whatever the unknowns are, over `evidence`.
+
+        The sum compares different pairs. The density of the unknowns is flat; it is minus infinity
+        if the pairs do not tell all of them.
+        """
+        by_unknowns = self.pairs.by_unknowns
+        views, numbers, unknowns = by_unknowns.shape
+        lengths = np.linalg.norm(by_unknowns, axis=(0, 1))
+        inverse = self.pairs.inverse(self.variances)
+        sizes = np.outer(lengths, lengths)
+        if np.linalg.matrix_rank(sizes * inverse, hermitian=True) < unknowns:
+            return -np.inf
+        # The deviance is by unknowns of which each changes the predictions by one in all.
+        constant = 0.5 * (views * numbers - unknowns) * np.log(2.0 * np.pi)
+        return -float(np.log(lengths).sum() + constant)
+
 
 def linear_pairs(
     data: PoseDataset,

@@ -10,6 +10,7 @@ from jaxlie import SE3, SO3
 from robot_motions import CAMERA_FROM_MOUNT, HOLDER_FROM_WORLD, mirrored, transform
 from scipy.spatial.transform import Rotation
 from shared_data import shared_pairs
+from tracked_scene import data_of
 
 from smartview_jax.data_checks import check_conventions, mistaken_unit, target_turns
 from smartview_jax.data_checks.given_poses import GivenPoses
@@ -148,6 +149,10 @@ def in_a_unit_of_its_own(seen):
     seen[:, :3, 3] *= 0.15
 
 
+def in_a_unit_near_a_factor_of_ten(seen):
+    seen[:, :3, 3] *= 0.102
+
+
 @pytest.mark.parametrize(
     ("wrong", "text"),
     [
@@ -156,6 +161,10 @@ def in_a_unit_of_its_own(seen):
         (y_backwards, "in the tracked poses the positions are in a left-handed frame, or y has"),
         (in_millimetres, "the tracked positions look like millimetres where metres are expected"),
         (in_a_unit_of_its_own, "the tracker moved 0.15 times as far as the robot: its unit of len"),
+        (
+            in_a_unit_near_a_factor_of_ten,
+            "If the robot's positions are right, the tracker's unit",
+        ),
     ],
 )
 def test_mistakes_of_a_tracker_are_not_put_on_the_robot(poses, wrong, text):
@@ -164,6 +173,17 @@ def test_mistakes_of_a_tracker_are_not_put_on_the_robot(poses, wrong, text):
     wrong(tracked)
     report = check_conventions(robot, host_transforms(tracked), "eye_in_hand", tracked=True)
     assert text in report.problems[0].split("next best")[0]
+
+
+def test_a_robot_far_away_is_not_taken_for_a_tracker_with_a_unit_of_its_own():
+    """Its poses are in millimetres, not in metres."""
+    pairs = data_of(0)
+    robot = scaled(pairs.base_from_tool, 1e3)
+    (problem,) = check_conventions(
+        robot, pairs.camera_from_world, "eye_in_hand", tracked=True
+    ).problems
+    assert problem.startswith("the robot's positions look like millimetres where metres are")
+    assert "its own" not in problem
 
 
 def test_a_unit_of_the_trackers_own_comes_before_mistakes_that_leave_more_over():

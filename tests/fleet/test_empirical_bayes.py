@@ -1,5 +1,6 @@
 """What robots of one type have in common, and which of them are of another type."""
 
+import inspect
 import pickle
 
 import equinox as eqx
@@ -142,6 +143,8 @@ def test_robots_of_a_type_are_known_by_fits_about_it(of_type, alone):
 def test_fits_without_anything_in_common_are_named(fits):
     with pytest.raises(ValueError, match="expected at least two fits, found 1"):
         fleet_prior(fits[:1])
+    with pytest.raises(TypeError, match=r"fits\[1\]: expected JointFit, found .*fit.json"):
+        inspect.unwrap(fleet_prior)([fits[0], "fit.json"])
     scene = scene_of(0)
     given = fit_joint(scene.data, scene.calibration, noise="trusted")
     with pytest.raises(ValueError, match=r"fits\[1\]: expected a fit with noise='estimated'"):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.linalg import block_diag
+from scipy.stats import norm
 from tracked_scene import MOUNT, ROBOT, WORLD, data_of, turned
 
 from smartview_jax.dataset import UNIT_TRANSLATION, PoseDataset
@@ -78,6 +79,25 @@ def one_noise_of(views, prior_std):
     one = LinearPairs(pairs.errors, pairs.by_unknowns, parts)
     prior = LogNormalPriors(np.eye(1), np.zeros(1), np.array([prior_std]))
     return one, likeliest_variances(one, np.ones(1), prior)
+
+
+def test_the_density_of_some_poses_is_an_integral_over_unknowns_and_noise():
+    """Gauss's integral over the unknowns, and SciPy's over the size of the noise."""
+    one, found = one_noise_of(16, 0.5)
+    columns, errors = one.by_unknowns.reshape(-1, 12), one.errors.ravel()
+    rest = errors - columns @ np.linalg.lstsq(columns, errors, rcond=None)[0]
+    freedom, shift = len(errors) - 12, 0.5 * np.log(1e-6)
+    peak = 0.5 * np.log(rest @ rest / freedom) - shift
+
+    def log_of(log_std):
+        std = np.exp(log_std + shift)
+        of_poses = -freedom * np.log(np.sqrt(2.0 * np.pi) * std) - 0.5 * rest @ rest / std**2
+        return of_poses + norm.logpdf(log_std, scale=0.5)
+
+    top = log_of(peak)
+    mass = quad(lambda x: np.exp(log_of(x) - top), peak - 1.0, peak + 1.0)[0]
+    expected = top + np.log(mass) - 0.5 * np.linalg.slogdet(columns.T @ columns)[1]
+    assert found.evidence + found.log_density_over_evidence == pytest.approx(expected, abs=0.05)
 
 
 def test_few_pairs_have_the_covariance_of_all_sizes_of_the_noise():
