@@ -25,14 +25,16 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool, Float
 
-from ..geometry import mean_matrix
+from ..geometry import host_adjoints, host_exponentials, host_logarithms, mean_matrix
 from .closure import MAX_CLOSURE_SCORE, Poses, contradicts_calibration, explains_most
-from .misfit_evidence import STRONG_EVIDENCE, VERY_STRONG_EVIDENCE, errors_of, evidence
+from .misfit_evidence import STRONG_EVIDENCE, VERY_STRONG_EVIDENCE, evidence, in_parts
 from .picture_turns import MIRRORED, PictureTurn, mirrored_poses, turn_of_change
+from .smooth_errors import ViewErrors, by_transforms
 from .transform_fit import (
     TransformFit,
     fit_transforms,
     mean_misfit,
+    mean_size,
     median_distance,
     misfit_text,
     misfits,
@@ -206,10 +208,10 @@ def find_change(
         for place in near[np.unique(spread.astype(int))].tolist():
             if place not in tried:
                 tried[place] = list(search.changes(place))
-        best = min(tried, key=lambda place: min(change.score for change in tried[place]))
+        best = max(tried, key=lambda place: max(change.evidence for change in tried[place]))
         near = places[np.abs(places - best) < step]
     best_of_kind: dict[str, Change] = {}
-    for change in sorted(chain.from_iterable(tried.values()), key=lambda change: change.score):
+    for change in sorted(chain.from_iterable(tried.values()), key=lambda change: -change.evidence):
         best_of_kind.setdefault(change.kind, change)
     named = [change for change in best_of_kind.values() if options.are_met_by(change)]
     if not named:
@@ -250,8 +252,8 @@ class _Search(NamedTuple):
         robot: `mount_from_holder` of the views.
         camera: `camera_from_world` of the views.
         fit: the transforms that fit all views, without any change.
-        errors: what they leave over, m and rad, by the frame in which errors are compared: the
-            mount's (`"camera"`) or the holder's (`"target"`).
+        by_transforms: derivatives of closure errors by both transforms.
+        errors: what the likeliest transforms leave over without any change, m and rad.
         misfit, score: its mean over the views, as in `ChangeReport`.
         distance: median distance of the target, m.
         place_count: number of places where a change may be.
@@ -260,7 +262,8 @@ class _Search(NamedTuple):
     robot: Poses
     camera: Poses
     fit: TransformFit
-    errors: dict[str, Float[np.ndarray, "views 2 3"]]
+    by_transforms: Float[np.ndarray, "views 6 12"]
+    errors: Float[np.ndarray, "views 6"]
     misfit: tuple[float, float]
     score: float
     distance: float
@@ -270,11 +273,10 @@ class _Search(NamedTuple):
     def of(cls, robot: Poses, camera: Poses, place_count: int) -> "_Search":
         """Return the search in some views."""
         fit = fit_transforms(robot, camera)
-        distance = median_distance(camera)
-        of_target = np.linalg.inv(robot) @ fit.closure @ robot
-        errors = {"camera": errors_of(fit.closure), "target": errors_of(of_target)}
-        misfit, score = mean_misfit(fit.closure, distance)
-        return cls(robot, camera, fit, errors, misfit, score, distance, place_count)
+        distance, columns = median_distance(camera), by_transforms(robot)
+        errors, _ = _left_over(fit.closure, columns, robot @ fit.holder_from_world)
+        misfit, score = mean_size(errors, distance)
+        return cls(robot, camera, fit, columns, errors, misfit, score, distance, place_count)
 
     def changes(self, place: int) -> Iterator[Change]:
         """Yield the changes of each kind before the view `place`."""
@@ -290,10 +292,17 @@ class _Search(NamedTuple):
             return
         camera = self.camera.copy()
         camera[:, 2, 3] *= np.where(after, after_factor, before_factor)
-        corrected = fit_transforms(self.robot, camera).closure
-        zoom = after_factor / before_factor
+        corrected = fit_transforms(self.robot, camera)
+        # Where the depths are larger by a share, the mount is farther along the optical axis.
+        along = host_adjoints(np.linalg.inv(corrected.camera_from_mount))[:, 2]
+        by_depth = along * camera[:, 2, 3, None]
+        by_depths = np.stack([~after[:, None] * by_depth, after[:, None] * by_depth], axis=2)
+        errors, shares = self._explained(corrected.closure, by_depths)
+        zoom = (after_factor - after_factor * shares[1]) / (
+            before_factor - before_factor * shares[0]
+        )
         moved = abs(zoom - 1.0) * self.distance, 0.0
-        yield self._change("zoom", place, moved, corrected)._replace(zoom=zoom)
+        yield self._change("zoom", place, moved, errors)._replace(zoom=zoom)
 
     def _moves(
         self, place: int, fit: TransformFit, reference: Bool[np.ndarray, "views"], closure: Poses
@@ -306,20 +315,38 @@ class _Search(NamedTuple):
             reference: mask of its views.
             closure: of all views with that fit.
         """
-        for kind in ("camera", "target"):
+        other, robot = ~reference, self.robot[~reference]
+        for kind, moved in (("camera", slice(0, 6)), ("target", slice(6, 12))):
             corrected = closure.copy()
-            # Errors are compared in one frame: a target's tilt varies about one axis of its own.
-            if kind == "target":
-                corrected = np.linalg.inv(self.robot) @ corrected @ self.robot
-            other = corrected[~reference]
-            change = mean_matrix(other, np.ones(len(other)))
-            corrected[~reference] = np.linalg.inv(change) @ other
+            if kind == "camera":
+                change = mean_matrix(closure[other], np.ones(len(robot)))
+                corrected[other] = np.linalg.inv(change) @ closure[other]
+            else:
+                at_target = np.linalg.inv(robot) @ closure[other] @ robot
+                change = mean_matrix(at_target, np.ones(len(robot)))
+                corrected[other] = robot @ np.linalg.inv(change) @ at_target @ np.linalg.inv(robot)
+            of_other = other[:, None, None] * self.by_transforms[:, :, moved]
+            errors, step = self._explained(corrected, of_other)
+            change = change @ host_exponentials(step)
             translation, rotation = misfits(change).tolist()
-            named = self._change(kind, place, (translation, rotation), corrected)
+            named = self._change(kind, place, (translation, rotation), errors)
             if kind == "camera":
                 turn = turn_of_change(fit.camera_from_mount, change, self.distance)
                 named = named._replace(turn=turn)
             yield named
+
+    def _explained(
+        self, closure: Poses, columns: Float[np.ndarray, "views 6 numbers"]
+    ) -> tuple[Float[np.ndarray, "views 6"], Float[np.ndarray, "numbers"]]:
+        """Return the errors left over with a change, and the likeliest last step of its numbers.
+
+        Args:
+            closure: of the views, corrected for the change.
+            columns: derivatives of the closure errors by the numbers of the change.
+        """
+        model = np.concatenate([self.by_transforms, columns], axis=2)
+        errors, numbers = _left_over(closure, model, self.robot @ self.fit.holder_from_world)
+        return errors, numbers[12:]
 
     def _mirrors(
         self, place: int, fit: TransformFit, reference: Bool[np.ndarray, "views"]
@@ -369,14 +396,26 @@ class _Search(NamedTuple):
         kind: str,
         place: int,
         moved: tuple[float, float],
-        corrected: Poses,
+        errors: Float[np.ndarray, "views 6"],
     ) -> Change:
-        """Return a change with the misfit and the evidence of the corrected closure."""
-        misfit, score = mean_misfit(corrected, self.distance)
+        """Return a change with the misfit and the evidence of the errors that it leaves over."""
+        misfit, score = mean_size(errors, self.distance)
         size = moved[1] + moved[0] / self.distance
         parameters = 2 if kind == "zoom" else 6
         # A change may be at any place.
-        given = self.errors["target" if kind == "target" else "camera"]
-        odds = evidence(given, errors_of(corrected), parameters)
-        odds -= 2.0 * np.log(self.place_count)
+        odds = evidence(in_parts(self.errors), in_parts(errors), parameters)
+        odds -= 2.0 * float(np.log(self.place_count))
         return Change(kind, place, *moved, 1.0, None, misfit, score, size, odds)
+
+
+def _left_over(
+    closure: Poses, model: Float[np.ndarray, "views 6 numbers"], mount_from_world: Poses
+) -> tuple[Float[np.ndarray, "views 6"], Float[np.ndarray, "numbers"]]:
+    """Return the errors that the likeliest numbers of a model leave over, and the numbers.
+
+    The errors are at the mount or at the target, where they are more like white noise: next to an
+    arm's base, small rotations of a far hand are large translations.
+    """
+    seen = ViewErrors.likelier(host_logarithms(closure), model, mount_from_world)
+    fit = seen.white(model)
+    return seen.left_over(model, fit), fit.numbers

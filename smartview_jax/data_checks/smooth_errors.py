@@ -97,6 +97,12 @@ class ViewErrors(NamedTuple):
         """Return the fit of a model to errors that are white noise."""
         return _fitted(self.values, self.change @ model, _Process.white(len(model)))
 
+    def left_over(
+        self, model: Float[np.ndarray, "views 6 numbers"], fit: "LinearFit"
+    ) -> Float[np.ndarray, "views 6"]:
+        """Return the errors that a fit of a model leaves over, m and rad."""
+        return self.values - (self.change @ model) @ fit.numbers
+
     def likeliest(
         self, model: Float[np.ndarray, "views 6 numbers"], kernels: Kernels
     ) -> "LinearFit":
@@ -117,6 +123,12 @@ class ViewErrors(NamedTuple):
                         best, choice = fit, tried
         assert best is not None
         return best
+
+
+def by_transforms(mount_from_holder: Poses) -> Float[np.ndarray, "views 6 12"]:
+    """Return the derivatives of closure errors at the mount by twists of both transforms."""
+    eye = np.broadcast_to(np.eye(6), (len(mount_from_holder), 6, 6))
+    return np.concatenate([eye, host_adjoints(mount_from_holder)], axis=2)
 
 
 class LinearFit(NamedTuple):
