@@ -52,6 +52,11 @@ class CameraMisfit(NamedTuple):
         """Whether the common camera leaves what another one would not."""
         return self.common > DETECTION_NOISE and self.single < MAX_MISFIT_RATIO * self.common
 
+    @property
+    def single_rms(self) -> float:
+        """The root mean square distance of Gaussian errors whose median distance is `single`."""
+        return self.single / float(np.sqrt(np.log(2.0)))
+
     def is_answered_by(self, pixel_sigma: float) -> bool:
         """Return whether a fit leaves about as little as a camera of its own in each view.
 

@@ -25,11 +25,11 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool, Float
 
-from ..geometry import host_adjoints, host_exponentials, host_logarithms, mean_matrix
+from ..geometry import host_adjoints, host_exponentials, mean_matrix
 from .closure import MAX_CLOSURE_SCORE, Poses, contradicts_calibration, explains_most
-from .misfit_evidence import STRONG_EVIDENCE, VERY_STRONG_EVIDENCE, evidence, in_parts
+from .misfit_evidence import VERY_STRONG_EVIDENCE, evidence, in_parts
 from .picture_turns import MIRRORED, PictureTurn, mirrored_poses, turn_of_change
-from .smooth_errors import ViewErrors, by_transforms
+from .smooth_errors import by_transforms, left_over_errors
 from .transform_fit import (
     TransformFit,
     fit_transforms,
@@ -51,7 +51,7 @@ class ChangeOptions:
     """Say where a change is looked for, and which one is named.
 
     Attributes:
-        min_odds: smallest odds of a large change that is named.
+        min_odds: smallest odds of a large change that is named. Changes are rare.
         min_odds_of_any_size: the same of a move of the camera of any size.
         min_views_on_a_side: fewest views before and after a change. Of six good views of a real
             arm, three may agree with a moved camera by chance.
@@ -63,7 +63,7 @@ class ChangeOptions:
             places around the best of them, until none is left between.
     """
 
-    min_odds: float = STRONG_EVIDENCE
+    min_odds: float = VERY_STRONG_EVIDENCE
     min_odds_of_any_size: float = VERY_STRONG_EVIDENCE
     min_views_on_a_side: int = 4
     max_rival_ratio: float = 2.0
@@ -274,7 +274,7 @@ class _Search(NamedTuple):
         """Return the search in some views."""
         fit = fit_transforms(robot, camera)
         distance, columns = median_distance(camera), by_transforms(robot)
-        errors, _ = _left_over(fit.closure, columns, robot @ fit.holder_from_world)
+        errors, _ = left_over_errors(fit.closure, columns, robot @ fit.holder_from_world)
         misfit, score = mean_size(errors, distance)
         return cls(robot, camera, fit, columns, errors, misfit, score, distance, place_count)
 
@@ -345,7 +345,7 @@ class _Search(NamedTuple):
             columns: derivatives of the closure errors by the numbers of the change.
         """
         model = np.concatenate([self.by_transforms, columns], axis=2)
-        errors, numbers = _left_over(closure, model, self.robot @ self.fit.holder_from_world)
+        errors, numbers = left_over_errors(closure, model, self.robot @ self.fit.holder_from_world)
         return errors, numbers[12:]
 
     def _mirrors(
@@ -406,16 +406,3 @@ class _Search(NamedTuple):
         odds = evidence(in_parts(self.errors), in_parts(errors), parameters)
         odds -= 2.0 * float(np.log(self.place_count))
         return Change(kind, place, *moved, 1.0, None, misfit, score, size, odds)
-
-
-def _left_over(
-    closure: Poses, model: Float[np.ndarray, "views 6 numbers"], mount_from_world: Poses
-) -> tuple[Float[np.ndarray, "views 6"], Float[np.ndarray, "numbers"]]:
-    """Return the errors that the likeliest numbers of a model leave over, and the numbers.
-
-    The errors are at the mount or at the target, where they are more like white noise: next to an
-    arm's base, small rotations of a far hand are large translations.
-    """
-    seen = ViewErrors.likelier(host_logarithms(closure), model, mount_from_world)
-    fit = seen.white(model)
-    return seen.left_over(model, fit), fit.numbers

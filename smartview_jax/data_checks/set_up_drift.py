@@ -23,7 +23,7 @@ from ..calibration import mount_frames
 from ..dataset import evenly_spaced
 from ..geometry import host_logarithms
 from .closure import MAX_VIEWS, Poses, contradicts_calibration
-from .misfit_evidence import VERY_STRONG_EVIDENCE
+from .misfit_evidence import VERY_STRONG_EVIDENCE, evidence, in_parts
 from .smooth_errors import LinearFit, ViewErrors, by_transforms, pose_kernels
 from .transform_fit import fit_transforms, mean_size, median_distance, misfit_text, motions_of_views
 
@@ -131,14 +131,21 @@ def find_drift(
     seen = ViewErrors.likelier(at_mount, calibration, robot @ fit.holder_from_world)
     without = seen.white(calibration)
     limit = 2.0 * np.log(options.min_odds)
+    left_over = seen.left_over(calibration, without)
     drifts = {kind: seen.white(model) for kind, model in models.items()}
-    drifts = {kind: drift for kind, drift in drifts.items() if _odds(without, drift) > limit}
+    # Not by errors along one line, as of a flat target's tilt, which creep by chance.
+    drifts = {
+        kind: drift
+        for kind, drift in drifts.items()
+        if _odds(without, drift) > limit
+        and evidence(in_parts(left_over), in_parts(seen.left_over(models[kind], drift)), 6) > limit
+    }
     # A drift is rare: most sets are done with after a look at white errors.
     if not drifts:
         return None
     kernels = pose_kernels(robot)
     smooth = seen.likeliest(calibration, kernels)
-    given, given_score = mean_size(seen.left_over(calibration, without), distance)
+    given, given_score = mean_size(left_over, distance)
     candidates = []
     for kind, drift in drifts.items():
         if _odds(smooth, seen.likeliest(models[kind], kernels)) <= limit:

@@ -127,18 +127,22 @@ def test_another_size_of_the_target_hides_no_change():
     assert not with_size.explains_most
 
 
-def test_a_knock_below_the_noise_of_a_view_is_named_in_many_views():
-    """It moves the camera by 5 mm; the noise in a view is 1.7 mm and 0.35 degrees long."""
+@pytest.mark.parametrize(("hand", "views"), [("mount", 40), ("holder", 24)])
+def test_a_knock_below_the_noise_of_a_view_is_named_in_many_views(hand, views):
+    """It moves the camera by 5 mm; the noise in a view is 1.7 mm and 0.35 degrees long.
+
+    Next to the arm, where the hand holds the target, the camera is a metre away from the noise.
+    """
     noise = (1e-3, 0.2)
+    first, every_view = views // 2, np.ones(views, dtype=bool)
+    knock = np.stack([transform([0, 0, 0], [5e-3 * (k >= first), 0, 0]) for k in range(views)])
     for seed in range(3):
-        knock = np.stack([transform([0, 0, 0], [5e-3 * (k >= 20), 0, 0]) for k in range(40)])
-        robot, camera = moving_alike(seed, noise=noise, views=40)
+        robot, camera = moving_alike(seed, noise=noise, views=views, errs_at=hand)
         knocked = as_se3(knock @ camera)
-        every_view = np.ones(40, dtype=bool)
         assert find_change(as_se3(robot), as_se3(camera), every_view) is None
         change = find_change(as_se3(robot), knocked, every_view).changes[0]
         assert change.kind == "camera"
-        assert abs(change.first_view - 20) <= 1
+        assert abs(change.first_view - first) <= 1
         assert change.translation == pytest.approx(5e-3, abs=1.5e-3)
 
 
