@@ -24,6 +24,7 @@ from .joint_mistakes import OTHER_ARM_RATIO as OTHER_ARM_RATIO
 from .joint_mistakes import OTHER_ARM_TEXT as OTHER_ARM_TEXT
 from .joint_mistakes import joint_problem as joint_problem
 from .joint_ratios import JointShare as JointShare
+from .joint_ratios import JointShareOptions as JointShareOptions
 from .joint_ratios import find_joint_share as find_joint_share
 from .length_units import mistaken_unit as mistaken_unit
 from .other_arm import find_other_arm as find_other_arm
