@@ -2,6 +2,7 @@ from .border_misfit import find_border_misfit as find_border_misfit
 from .camera_checks import TRIED_LENSES as TRIED_LENSES
 from .camera_checks import CameraDoubt as CameraDoubt
 from .camera_checks import CameraMisfit as CameraMisfit
+from .camera_checks import ViewsAlone as ViewsAlone
 from .camera_checks import camera_misfit as camera_misfit
 from .camera_checks import camera_problem as camera_problem
 from .changes import ChangeOptions as ChangeOptions
