@@ -23,13 +23,14 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from ..geometry import host_adjoints, host_exponentials, mean_matrix
+from ..geometry import host_adjoints, host_exponentials, host_logarithms, mean_matrix
 from .closure import MAX_CLOSURE_SCORE, Poses, contradicts_calibration, explains_most
 from .misfit_evidence import VERY_STRONG_EVIDENCE, evidence, in_parts
 from .picture_turns import MIRRORED, PictureTurn, mirrored_poses, turn_of_change
-from .smooth_errors import by_transforms, left_over_errors
+from .smooth_errors import ViewErrors, by_transforms, left_over_errors
+from .step_gains import step_gains
 from .transform_fit import (
     TransformFit,
     fit_transforms,
@@ -44,6 +45,9 @@ from .transform_fit import (
 
 MAX_ZOOM = 5.0
 """Largest ratio of two focal lengths that is taken for a zoom, either way."""
+
+MIN_PROMISE = 0.75
+"""Smallest part of the evidence that a change needs, to first order, with which it is fitted."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -200,6 +204,9 @@ def find_change(
     search = _Search.of(robot, camera, len(places))
     if search.score < options.min_score:
         return None
+    places = search.promising(places, options)
+    if not len(places):
+        return None
     tried: dict[int, list[Change]] = {}
     near, step = places, 0
     while step != 1:
@@ -245,6 +252,13 @@ def evidence_of_change(mount_from_holder: SE3, camera_from_world: SE3, first_vie
     return max(change.evidence for change in changes if change.kind != "target")
 
 
+_COLUMNS = {"camera": slice(0, 6), "target": slice(6, 12), "zoom": slice(12, 13)}
+"""Columns of the derivatives by both transforms, then by the depths, that a change adds."""
+
+_PARAMETERS = {"camera": 6, "target": 6, "zoom": 2}
+"""Numbers of each kind of change; a zoom has the depths before it and after it."""
+
+
 class _Search(NamedTuple):
     """Views in which a change is looked for.
 
@@ -253,7 +267,8 @@ class _Search(NamedTuple):
         camera: `camera_from_world` of the views.
         fit: the transforms that fit all views, without any change.
         by_transforms: derivatives of closure errors by both transforms.
-        errors: what the likeliest transforms leave over without any change, m and rad.
+        seen: closure errors without any change, in the frame in which they are likelier.
+        errors: what the likeliest transforms leave over of them, m and rad.
         misfit, score: its mean over the views, as in `ChangeReport`.
         distance: median distance of the target, m.
         place_count: number of places where a change may be.
@@ -263,6 +278,7 @@ class _Search(NamedTuple):
     camera: Poses
     fit: TransformFit
     by_transforms: Float[np.ndarray, "views 6 12"]
+    seen: ViewErrors
     errors: Float[np.ndarray, "views 6"]
     misfit: tuple[float, float]
     score: float
@@ -274,9 +290,38 @@ class _Search(NamedTuple):
         """Return the search in some views."""
         fit = fit_transforms(robot, camera)
         distance, columns = median_distance(camera), by_transforms(robot)
-        errors, _ = left_over_errors(fit.closure, columns, robot @ fit.holder_from_world)
+        at_mount = host_logarithms(fit.closure)
+        seen = ViewErrors.likelier(at_mount, columns, robot @ fit.holder_from_world)
+        errors = seen.left_over(columns, seen.white(columns))
         misfit, score = mean_size(errors, distance)
-        return cls(robot, camera, fit, columns, errors, misfit, score, distance, place_count)
+        return cls(robot, camera, fit, columns, seen, errors, misfit, score, distance, place_count)
+
+    def promising(
+        self, places: Int[np.ndarray, "places"], options: ChangeOptions
+    ) -> Int[np.ndarray, "promising"]:
+        """Return the places where a change promises the needed evidence, to first order.
+
+        Errors that are too large for a first order leave all places.
+        """
+        if self.score >= MAX_CLOSURE_SCORE:
+            return places
+        odds = min(options.min_odds, options.min_odds_of_any_size)
+        needed = 2.0 * np.log(odds * self.place_count)
+        by_change = np.concatenate([self.by_transforms, self._by_depth(self.fit)], axis=2)
+        model, changes = (self.seen.change @ x for x in (self.by_transforms, by_change))
+        promises = [
+            step_gains(self.errors, model, changes[..., columns])[places]
+            / (needed + _PARAMETERS[kind] * np.log(len(self.robot)))
+            for kind, columns in _COLUMNS.items()
+        ]
+        promise = np.max(promises, axis=0)
+        best = np.argsort(-promise)[: options.max_tried_places]
+        return np.sort(places[best[promise[best] > MIN_PROMISE]])
+
+    def _by_depth(self, fit: TransformFit) -> Float[np.ndarray, "views 6 1"]:
+        """Return the derivatives of closure errors by the share by which depths are larger."""
+        along = host_adjoints(np.linalg.inv(fit.camera_from_mount))[:, 2]
+        return (along * self.camera[:, 2, 3, None])[..., None]
 
     def changes(self, place: int) -> Iterator[Change]:
         """Yield the changes of each kind before the view `place`."""
@@ -293,14 +338,11 @@ class _Search(NamedTuple):
         camera = self.camera.copy()
         camera[:, 2, 3] *= np.where(after, after_factor, before_factor)
         corrected = fit_transforms(self.robot, camera)
-        # Where the depths are larger by a share, the mount is farther along the optical axis.
-        along = host_adjoints(np.linalg.inv(corrected.camera_from_mount))[:, 2]
-        by_depth = along * camera[:, 2, 3, None]
-        by_depths = np.stack([~after[:, None] * by_depth, after[:, None] * by_depth], axis=2)
+        factors = np.where(after, after_factor, before_factor)[:, None, None]
+        by_depth, later = factors * self._by_depth(corrected), after[:, None, None]
+        by_depths = np.concatenate([~later * by_depth, later * by_depth], axis=2)
         errors, shares = self._explained(corrected.closure, by_depths)
-        zoom = (after_factor - after_factor * shares[1]) / (
-            before_factor - before_factor * shares[0]
-        )
+        zoom = after_factor * (1.0 - shares[1]) / (before_factor * (1.0 - shares[0]))
         moved = abs(zoom - 1.0) * self.distance, 0.0
         yield self._change("zoom", place, moved, errors)._replace(zoom=zoom)
 
@@ -401,8 +443,7 @@ class _Search(NamedTuple):
         """Return a change with the misfit and the evidence of the errors that it leaves over."""
         misfit, score = mean_size(errors, self.distance)
         size = moved[1] + moved[0] / self.distance
-        parameters = 2 if kind == "zoom" else 6
         # A change may be at any place.
-        odds = evidence(in_parts(self.errors), in_parts(errors), parameters)
+        odds = evidence(in_parts(self.errors), in_parts(errors), _PARAMETERS[kind])
         odds -= 2.0 * float(np.log(self.place_count))
         return Change(kind, place, *moved, 1.0, None, misfit, score, size, odds)

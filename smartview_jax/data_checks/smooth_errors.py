@@ -89,10 +89,17 @@ class ViewErrors(NamedTuple):
         mount_from_world: Poses,
     ) -> "ViewErrors":
         """Return the errors at the mount or at the target, where the model leaves white noise."""
-        eye = np.tile(np.eye(6), (len(at_mount), 1, 1))
-        changes = eye, host_adjoints(np.linalg.inv(mount_from_world))
-        frames = (cls((change @ at_mount[..., None])[..., 0], change) for change in changes)
+        frames = cls.at_both_ends(at_mount, mount_from_world)
         return min(frames, key=lambda errors: errors.white(model).likelihood)
+
+    @classmethod
+    def at_both_ends(
+        cls, at_mount: Float[np.ndarray, "views 6"], mount_from_world: Poses
+    ) -> tuple["ViewErrors", "ViewErrors"]:
+        """Return the errors at the mount and at the target."""
+        eye = np.tile(np.eye(6), (len(at_mount), 1, 1))
+        to_target = host_adjoints(np.linalg.inv(mount_from_world))
+        return cls(at_mount, eye), cls((to_target @ at_mount[..., None])[..., 0], to_target)
 
     def white(self, model: Float[np.ndarray, "views 6 numbers"]) -> "LinearFit":
         """Return the fit of a model to errors that are white noise."""
@@ -155,9 +162,10 @@ def left_over_errors(
         model: derivatives of the closure errors at the mount by the numbers.
         mount_from_world: the pose of the target in the mount's frame in each view.
     """
-    seen = ViewErrors.likelier(host_logarithms(closure), model, mount_from_world)
-    fit = seen.white(model)
-    return seen.left_over(model, fit), fit.numbers
+    frames = ViewErrors.at_both_ends(host_logarithms(closure), mount_from_world)
+    fits = ((errors, errors.white(model)) for errors in frames)
+    errors, fit = min(fits, key=lambda entry: entry[1].likelihood)
+    return errors.left_over(model, fit), fit.numbers
 
 
 class LinearFit(NamedTuple):

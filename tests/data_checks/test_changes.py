@@ -11,6 +11,7 @@ import pytest
 from robot_motions import CAMERA_FROM_MOUNT, UNCHANGED, VIEWS, mirrored, moving_alike, transform
 
 from smartview_jax.data_checks import find_change
+from smartview_jax.data_checks.changes import _Search
 from smartview_jax.geometry import as_se3, host_matrices
 from smartview_jax.staged import fit_staged
 
@@ -112,6 +113,18 @@ def test_a_camera_pushed_along_its_axis_is_no_zoom():
 def test_errors_in_single_views_are_no_change(noise):
     for seed in range(6):
         assert find_change(*motions(seed, noise=noise), EVERY_VIEW) is None
+
+
+def test_where_none_is_likely_to_first_order_no_change_is_fitted(monkeypatch):
+    """It would cost as much as all other checks; and where one is likely, no answer differs."""
+    weak, knocked = motions(noise=(5e-3, 1.0)), motions(camera_knock=KNOCK)
+    fitted, changes = [], _Search.changes
+    monkeypatch.setattr(_Search, "changes", lambda *given: fitted.append(given) or changes(*given))
+    assert find_change(*weak, EVERY_VIEW) is None
+    assert not fitted
+    named = find_change(*knocked, EVERY_VIEW)
+    monkeypatch.setattr(_Search, "promising", lambda search, places, options: places)
+    assert find_change(*knocked, EVERY_VIEW) == named
 
 
 def test_another_size_of_the_target_hides_no_change():
