@@ -117,7 +117,7 @@ def test_errors_in_single_views_are_no_change(noise):
 
 def test_where_none_is_likely_to_first_order_no_change_is_fitted(monkeypatch):
     """It would cost as much as all other checks; and where one is likely, no answer differs."""
-    weak, knocked = motions(noise=(5e-3, 1.0)), motions(camera_knock=KNOCK)
+    weak, knocked = motions(noise=(1e-3, 0.2)), motions(camera_knock=KNOCK)
     fitted, changes = [], _Search.changes
     monkeypatch.setattr(_Search, "changes", lambda *given: fitted.append(given) or changes(*given))
     assert find_change(*weak, EVERY_VIEW) is None
