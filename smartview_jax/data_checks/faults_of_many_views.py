@@ -122,8 +122,13 @@ def find_shared_fault(
     if focus is None:
         return best
     # A lens that zoomed once is told from which view on.
-    zoomed = (fault for fault in faults if fault.may_be_zoom)
-    return next(zoomed, SharedFault(focus.sentence(poses.view_ids), False, True))
+    zoomed = next((fault for fault in faults if fault.may_be_zoom), None)
+    if zoomed is not None:
+        return zoomed
+    # A change of one kind was found to be likelier than a zoom at the same view.
+    if focus.is_once and best is not None and best.first_view:
+        return best
+    return SharedFault(focus.sentence(poses.view_ids), False, True)
 
 
 def _score_of_all(poses: RobotAndCamera, used: Bool[np.ndarray, "views"]) -> float:
