@@ -2,6 +2,7 @@ from .border_misfit import find_border_misfit as find_border_misfit
 from .camera_checks import TRIED_LENSES as TRIED_LENSES
 from .camera_checks import CameraDoubt as CameraDoubt
 from .camera_checks import CameraMisfit as CameraMisfit
+from .camera_checks import ViewsAlone as ViewsAlone
 from .camera_checks import camera_misfit as camera_misfit
 from .camera_checks import camera_problem as camera_problem
 from .changes import ChangeOptions as ChangeOptions
@@ -25,6 +26,7 @@ from .joint_mistakes import OTHER_ARM_RATIO as OTHER_ARM_RATIO
 from .joint_mistakes import OTHER_ARM_TEXT as OTHER_ARM_TEXT
 from .joint_mistakes import joint_problem as joint_problem
 from .joint_ratios import JointShare as JointShare
+from .joint_ratios import JointShareOptions as JointShareOptions
 from .joint_ratios import find_joint_share as find_joint_share
 from .length_units import mistaken_unit as mistaken_unit
 from .other_arm import find_other_arm as find_other_arm

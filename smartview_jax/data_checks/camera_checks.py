@@ -7,12 +7,12 @@ than the common camera with a free pose in every view, the common camera is wron
 models of the package are tried.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 
 from ..cameras import AbstractLens, Camera, lens_name
 from ..dataset import Observations, camera_residuals, evenly_spaced, medians_by_view
@@ -52,6 +52,11 @@ class CameraMisfit(NamedTuple):
         """Whether the common camera leaves what another one would not."""
         return self.common > DETECTION_NOISE and self.single < MAX_MISFIT_RATIO * self.common
 
+    @property
+    def single_rms(self) -> float:
+        """The root mean square distance of Gaussian errors whose median distance is `single`."""
+        return self.single / float(np.sqrt(np.log(2.0)))
+
     def is_answered_by(self, pixel_sigma: float) -> bool:
         """Return whether a fit leaves about as little as a camera of its own in each view.
 
@@ -61,6 +66,44 @@ class CameraMisfit(NamedTuple):
         # The median distance of two Gaussian coordinates is 1.18 of their standard deviations.
         distance = float(np.sqrt(2.0 * np.log(2.0))) * pixel_sigma
         return distance < MAX_RIVAL_RATIO * self.single
+
+
+class ViewsAlone:
+    """Fits of single views with a camera of their own, each made once, when it is first asked for.
+
+    Attributes:
+        observations: points and pixels of the views.
+    """
+
+    def __init__(self, observations: Observations):
+        self.observations = observations
+        self._distances: dict[int, float | None] = {}
+
+    def distances(
+        self, views: Int[np.ndarray, "asked"], image_size: tuple[int, int]
+    ) -> list[float]:
+        """Return the median distance of a view's points from where its own camera puts them, px.
+
+        Args:
+            views: indices of the views. Those that have too few points for a camera are left out.
+            image_size: width and height, px.
+        """
+        for view in views.tolist():
+            if view not in self._distances:
+                self._distances[view] = self._fitted(view, image_size)
+        distances = (self._distances[view] for view in views.tolist())
+        return [distance for distance in distances if distance is not None]
+
+    def _fitted(self, view: int, image_size: tuple[int, int]) -> float | None:
+        """Return the distance of one view; None if it has too few points."""
+        seen = np.asarray(self.observations.visible)[view]
+        points = np.asarray(self.observations.points)[view, seen]
+        fit = fit_of_any_lens(points, np.asarray(self.observations.pixels)[view, seen], image_size)
+        if fit is None:
+            return None
+        freedom = 2 * np.count_nonzero(seen)
+        # Many parameters leave less than the noise.
+        return median_distance(fit) * float(np.sqrt(freedom / (freedom - fit.parameter_count)))
 
 
 class CameraDoubt(NamedTuple):
@@ -76,7 +119,7 @@ class CameraDoubt(NamedTuple):
 
 
 def camera_misfit(
-    observations: Observations,
+    alone: ViewsAlone,
     used: Bool[np.ndarray, "views"],
     camera: Camera,
     camera_from_world: SE3,
@@ -84,17 +127,17 @@ def camera_misfit(
     """Return how well one camera fits the views; None if it fits well or nothing tells.
 
     Args:
-        observations: points and pixels.
+        alone: the views, as they are fitted alone.
         used: mask of the views to check.
         camera: common to all views.
         camera_from_world: the pose of each view that fits best with this camera.
     """
-    common = _usual_distance(observations, used, camera, camera_from_world)
+    common = _usual_distance(alone.observations, used, camera, camera_from_world)
     if not common > DETECTION_NOISE:
         return None
     views = np.flatnonzero(used)
     views = views[evenly_spaced(len(views), MAX_ASKED_VIEWS)]
-    distances = list(_single_distances(observations, views, camera.image_size))
+    distances = alone.distances(views, camera.image_size)
     if not distances:
         return None
     misfit = CameraMisfit(common, float(np.median(distances)))
@@ -116,7 +159,8 @@ def camera_problem(
         lens: the lens that was fitted, or its name.
         is_known: whether the camera was given and not fitted.
         fit_with: function from a lens's name to the common camera with it, and the poses.
-        observations, used: as for `camera_misfit`.
+        observations: points and pixels.
+        used: as for `camera_misfit`.
     """
     misfits = f"with a free pose in every view it leaves {_in_pixels(misfit.common)} in the median"
     alone = f"a camera of its own in each view leaves {_in_pixels(misfit.single)}"
@@ -165,18 +209,3 @@ def _usual_distance(
     residuals = camera_residuals(camera, host_matrices(camera_from_world), observations)
     distances = np.linalg.norm(residuals, axis=2)
     return float(np.median(medians_by_view(distances, np.asarray(observations.visible))[used]))
-
-
-def _single_distances(
-    observations: Observations, views: np.ndarray, image_size: tuple[int, int]
-) -> Iterator[float]:
-    """Yield the same for each view with a camera of its own, where its points are enough."""
-    points, pixels = np.asarray(observations.points), np.asarray(observations.pixels)
-    visible = np.asarray(observations.visible)
-    for view in views:
-        seen = visible[view]
-        fit = fit_of_any_lens(points[view, seen], pixels[view, seen], image_size)
-        if fit is not None:
-            freedom = 2 * np.count_nonzero(seen)
-            # Many parameters leave less than the noise.
-            yield median_distance(fit) * float(np.sqrt(freedom / (freedom - fit.parameter_count)))

@@ -23,16 +23,19 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from ..geometry import mean_matrix
+from ..geometry import host_adjoints, host_exponentials, host_logarithms, mean_matrix
 from .closure import MAX_CLOSURE_SCORE, Poses, contradicts_calibration, explains_most
-from .misfit_evidence import STRONG_EVIDENCE, VERY_STRONG_EVIDENCE, errors_of, evidence
+from .misfit_evidence import VERY_STRONG_EVIDENCE, evidence, in_parts
 from .picture_turns import MIRRORED, PictureTurn, mirrored_poses, turn_of_change
+from .smooth_errors import ViewErrors, by_transforms, left_over_errors
+from .step_gains import step_gains
 from .transform_fit import (
     TransformFit,
     fit_transforms,
     mean_misfit,
+    mean_size,
     median_distance,
     misfit_text,
     misfits,
@@ -43,13 +46,16 @@ from .transform_fit import (
 MAX_ZOOM = 5.0
 """Largest ratio of two focal lengths that is taken for a zoom, either way."""
 
+MIN_PROMISE = 0.75
+"""Smallest part of the evidence that a change needs, to first order, with which it is fitted."""
+
 
 @dataclasses.dataclass(frozen=True)
 class ChangeOptions:
     """Say where a change is looked for, and which one is named.
 
     Attributes:
-        min_odds: smallest odds of a large change that is named.
+        min_odds: smallest odds of a large change that is named. Changes are rare.
         min_odds_of_any_size: the same of a move of the camera of any size.
         min_views_on_a_side: fewest views before and after a change. Of six good views of a real
             arm, three may agree with a moved camera by chance.
@@ -61,7 +67,7 @@ class ChangeOptions:
             places around the best of them, until none is left between.
     """
 
-    min_odds: float = STRONG_EVIDENCE
+    min_odds: float = VERY_STRONG_EVIDENCE
     min_odds_of_any_size: float = VERY_STRONG_EVIDENCE
     min_views_on_a_side: int = 4
     max_rival_ratio: float = 2.0
@@ -198,6 +204,9 @@ def find_change(
     search = _Search.of(robot, camera, len(places))
     if search.score < options.min_score:
         return None
+    places = search.promising(places, options)
+    if not len(places):
+        return None
     tried: dict[int, list[Change]] = {}
     near, step = places, 0
     while step != 1:
@@ -206,10 +215,10 @@ def find_change(
         for place in near[np.unique(spread.astype(int))].tolist():
             if place not in tried:
                 tried[place] = list(search.changes(place))
-        best = min(tried, key=lambda place: min(change.score for change in tried[place]))
+        best = max(tried, key=lambda place: max(change.evidence for change in tried[place]))
         near = places[np.abs(places - best) < step]
     best_of_kind: dict[str, Change] = {}
-    for change in sorted(chain.from_iterable(tried.values()), key=lambda change: change.score):
+    for change in sorted(chain.from_iterable(tried.values()), key=lambda change: -change.evidence):
         best_of_kind.setdefault(change.kind, change)
     named = [change for change in best_of_kind.values() if options.are_met_by(change)]
     if not named:
@@ -243,6 +252,13 @@ def evidence_of_change(mount_from_holder: SE3, camera_from_world: SE3, first_vie
     return max(change.evidence for change in changes if change.kind != "target")
 
 
+_COLUMNS = {"camera": slice(0, 6), "target": slice(6, 12), "zoom": slice(12, 13)}
+"""Columns of the derivatives by both transforms, then by the depths, that a change adds."""
+
+_PARAMETERS = {"camera": 6, "target": 6, "zoom": 2}
+"""Numbers of each kind of change; a zoom has the depths before it and after it."""
+
+
 class _Search(NamedTuple):
     """Views in which a change is looked for.
 
@@ -250,8 +266,9 @@ class _Search(NamedTuple):
         robot: `mount_from_holder` of the views.
         camera: `camera_from_world` of the views.
         fit: the transforms that fit all views, without any change.
-        errors: what they leave over, m and rad, by the frame in which errors are compared: the
-            mount's (`"camera"`) or the holder's (`"target"`).
+        by_transforms: derivatives of closure errors by both transforms.
+        seen: closure errors without any change, in the frame in which they are likelier.
+        errors: what the likeliest transforms leave over of them, m and rad.
         misfit, score: its mean over the views, as in `ChangeReport`.
         distance: median distance of the target, m.
         place_count: number of places where a change may be.
@@ -260,7 +277,9 @@ class _Search(NamedTuple):
     robot: Poses
     camera: Poses
     fit: TransformFit
-    errors: dict[str, Float[np.ndarray, "views 2 3"]]
+    by_transforms: Float[np.ndarray, "views 6 12"]
+    seen: ViewErrors
+    errors: Float[np.ndarray, "views 6"]
     misfit: tuple[float, float]
     score: float
     distance: float
@@ -270,11 +289,39 @@ class _Search(NamedTuple):
     def of(cls, robot: Poses, camera: Poses, place_count: int) -> "_Search":
         """Return the search in some views."""
         fit = fit_transforms(robot, camera)
-        distance = median_distance(camera)
-        of_target = np.linalg.inv(robot) @ fit.closure @ robot
-        errors = {"camera": errors_of(fit.closure), "target": errors_of(of_target)}
-        misfit, score = mean_misfit(fit.closure, distance)
-        return cls(robot, camera, fit, errors, misfit, score, distance, place_count)
+        distance, columns = median_distance(camera), by_transforms(robot)
+        at_mount = host_logarithms(fit.closure)
+        seen = ViewErrors.likelier(at_mount, columns, robot @ fit.holder_from_world)
+        errors = seen.left_over(columns, seen.white(columns))
+        misfit, score = mean_size(errors, distance)
+        return cls(robot, camera, fit, columns, seen, errors, misfit, score, distance, place_count)
+
+    def promising(
+        self, places: Int[np.ndarray, "places"], options: ChangeOptions
+    ) -> Int[np.ndarray, "promising"]:
+        """Return the places where a change promises the needed evidence, to first order.
+
+        Errors that are too large for a first order leave all places.
+        """
+        if self.score >= MAX_CLOSURE_SCORE:
+            return places
+        odds = min(options.min_odds, options.min_odds_of_any_size)
+        needed = 2.0 * np.log(odds * self.place_count)
+        by_change = np.concatenate([self.by_transforms, self._by_depth(self.fit)], axis=2)
+        model, changes = (self.seen.change @ x for x in (self.by_transforms, by_change))
+        promises = [
+            step_gains(self.errors, model, changes[..., columns])[places]
+            / (needed + _PARAMETERS[kind] * np.log(len(self.robot)))
+            for kind, columns in _COLUMNS.items()
+        ]
+        promise = np.max(promises, axis=0)
+        best = np.argsort(-promise)[: options.max_tried_places]
+        return np.sort(places[best[promise[best] > MIN_PROMISE]])
+
+    def _by_depth(self, fit: TransformFit) -> Float[np.ndarray, "views 6 1"]:
+        """Return the derivatives of closure errors by the share by which depths are larger."""
+        along = host_adjoints(np.linalg.inv(fit.camera_from_mount))[:, 2]
+        return (along * self.camera[:, 2, 3, None])[..., None]
 
     def changes(self, place: int) -> Iterator[Change]:
         """Yield the changes of each kind before the view `place`."""
@@ -290,10 +337,14 @@ class _Search(NamedTuple):
             return
         camera = self.camera.copy()
         camera[:, 2, 3] *= np.where(after, after_factor, before_factor)
-        corrected = fit_transforms(self.robot, camera).closure
-        zoom = after_factor / before_factor
+        corrected = fit_transforms(self.robot, camera)
+        factors = np.where(after, after_factor, before_factor)[:, None, None]
+        by_depth, later = factors * self._by_depth(corrected), after[:, None, None]
+        by_depths = np.concatenate([~later * by_depth, later * by_depth], axis=2)
+        errors, shares = self._explained(corrected.closure, by_depths)
+        zoom = after_factor * (1.0 - shares[1]) / (before_factor * (1.0 - shares[0]))
         moved = abs(zoom - 1.0) * self.distance, 0.0
-        yield self._change("zoom", place, moved, corrected)._replace(zoom=zoom)
+        yield self._change("zoom", place, moved, errors)._replace(zoom=zoom)
 
     def _moves(
         self, place: int, fit: TransformFit, reference: Bool[np.ndarray, "views"], closure: Poses
@@ -306,20 +357,38 @@ class _Search(NamedTuple):
             reference: mask of its views.
             closure: of all views with that fit.
         """
-        for kind in ("camera", "target"):
+        other, robot = ~reference, self.robot[~reference]
+        for kind, moved in (("camera", slice(0, 6)), ("target", slice(6, 12))):
             corrected = closure.copy()
-            # Errors are compared in one frame: a target's tilt varies about one axis of its own.
-            if kind == "target":
-                corrected = np.linalg.inv(self.robot) @ corrected @ self.robot
-            other = corrected[~reference]
-            change = mean_matrix(other, np.ones(len(other)))
-            corrected[~reference] = np.linalg.inv(change) @ other
+            if kind == "camera":
+                change = mean_matrix(closure[other], np.ones(len(robot)))
+                corrected[other] = np.linalg.inv(change) @ closure[other]
+            else:
+                at_target = np.linalg.inv(robot) @ closure[other] @ robot
+                change = mean_matrix(at_target, np.ones(len(robot)))
+                corrected[other] = robot @ np.linalg.inv(change) @ at_target @ np.linalg.inv(robot)
+            of_other = other[:, None, None] * self.by_transforms[:, :, moved]
+            errors, step = self._explained(corrected, of_other)
+            change = change @ host_exponentials(step)
             translation, rotation = misfits(change).tolist()
-            named = self._change(kind, place, (translation, rotation), corrected)
+            named = self._change(kind, place, (translation, rotation), errors)
             if kind == "camera":
                 turn = turn_of_change(fit.camera_from_mount, change, self.distance)
                 named = named._replace(turn=turn)
             yield named
+
+    def _explained(
+        self, closure: Poses, columns: Float[np.ndarray, "views 6 numbers"]
+    ) -> tuple[Float[np.ndarray, "views 6"], Float[np.ndarray, "numbers"]]:
+        """Return the errors left over with a change, and the likeliest last step of its numbers.
+
+        Args:
+            closure: of the views, corrected for the change.
+            columns: derivatives of the closure errors by the numbers of the change.
+        """
+        model = np.concatenate([self.by_transforms, columns], axis=2)
+        errors, numbers = left_over_errors(closure, model, self.robot @ self.fit.holder_from_world)
+        return errors, numbers[12:]
 
     def _mirrors(
         self, place: int, fit: TransformFit, reference: Bool[np.ndarray, "views"]
@@ -369,14 +438,12 @@ class _Search(NamedTuple):
         kind: str,
         place: int,
         moved: tuple[float, float],
-        corrected: Poses,
+        errors: Float[np.ndarray, "views 6"],
     ) -> Change:
-        """Return a change with the misfit and the evidence of the corrected closure."""
-        misfit, score = mean_misfit(corrected, self.distance)
+        """Return a change with the misfit and the evidence of the errors that it leaves over."""
+        misfit, score = mean_size(errors, self.distance)
         size = moved[1] + moved[0] / self.distance
-        parameters = 2 if kind == "zoom" else 6
         # A change may be at any place.
-        given = self.errors["target" if kind == "target" else "camera"]
-        odds = evidence(given, errors_of(corrected), parameters)
-        odds -= 2.0 * np.log(self.place_count)
+        odds = evidence(in_parts(self.errors), in_parts(errors), _PARAMETERS[kind])
+        odds -= 2.0 * float(np.log(self.place_count))
         return Change(kind, place, *moved, 1.0, None, misfit, score, size, odds)

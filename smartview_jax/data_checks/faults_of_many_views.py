@@ -17,12 +17,8 @@ from .focus_changes import SeenDistances, find_focus_change
 from .largest_group import MIN_GROUP
 from .pose_lag import find_lag
 from .set_up_drift import find_drift
-from .transform_fit import (
-    fit_transforms,
-    mean_misfit,
-    median_distance,
-    motions_from_camera_to_target,
-)
+from .smooth_errors import errors_of_transforms
+from .transform_fit import mean_size, median_distance, motions_from_camera_to_target
 from .view_groups import find_groups
 
 MIN_RATIO_DIFFERENCE = 0.01
@@ -126,8 +122,13 @@ def find_shared_fault(
     if focus is None:
         return best
     # A lens that zoomed once is told from which view on.
-    zoomed = (fault for fault in faults if fault.may_be_zoom)
-    return next(zoomed, SharedFault(focus.sentence(poses.view_ids), False, True))
+    zoomed = next((fault for fault in faults if fault.may_be_zoom), None)
+    if zoomed is not None:
+        return zoomed
+    # A change of one kind was found to be likelier than a zoom at the same view.
+    if focus.is_once and best is not None and best.first_view:
+        return best
+    return SharedFault(focus.sentence(poses.view_ids), False, True)
 
 
 def _score_of_all(poses: RobotAndCamera, used: Bool[np.ndarray, "views"]) -> float:
@@ -141,7 +142,7 @@ def _score_of_all(poses: RobotAndCamera, used: Bool[np.ndarray, "views"]) -> flo
     )
     if motions is None:
         return np.inf
-    return mean_misfit(fit_transforms(*motions).closure, median_distance(motions[1]))[1]
+    return mean_size(errors_of_transforms(*motions), median_distance(motions[1]))[1]
 
 
 def _faults(

@@ -206,20 +206,29 @@ def find_focus_change(
         return None
     change = FocusChange(size, size * median_distance(camera), focus.sigma)
     to_beat = focus.deviance + numbers
-    return (
-        _change_of_later_views(errors, along, views, to_beat)
-        or _change_of_single_views(errors, along, views, to_beat)
-        or change
-    )
+    once = _change_of_later_views(errors, along, views)
+    if once.deviance < to_beat:
+        change, to_beat = once
+    single = _change_of_single_views(errors, along, views, to_beat)
+    return change if single is None else single
+
+
+class _Explanation(NamedTuple):
+    """A change of the focal length in some views, and how likely it is.
+
+    Attributes:
+        change: the change.
+        deviance: minus twice the logarithm of its likelihood, with the penalty of its numbers.
+    """
+
+    change: FocusChange
+    deviance: float
 
 
 def _change_of_later_views(
-    errors: "_Positions",
-    along: Float[np.ndarray, "views 3"],
-    views: Int[np.ndarray, "views"],
-    deviance_to_beat: float,
-) -> FocusChange | None:
-    """Return the change if another focal length from a view on explains the errors better; or None.
+    errors: "_Positions", along: Float[np.ndarray, "views 3"], views: Int[np.ndarray, "views"]
+) -> _Explanation:
+    """Return the likeliest single change, after which all views have another focal length.
 
     The arguments are as of `_change_of_single_views`.
     """
@@ -230,13 +239,13 @@ def _change_of_later_views(
     explained = errors.with_free_groups(along, later[None])
     fit = explained.likelihood(None)
     # Two numbers: the focal length, and the place.
-    if fit.deviance + np.log(3.0 * count) + 2.0 * np.log(len(places)) >= deviance_to_beat:
-        return None
+    deviance = fit.deviance + float(np.log(3.0 * count) + 2.0 * np.log(len(places)))
     share = float(fit_positions(explained.columns, errors.positions).numbers[-1])
     relative = abs(share) * float(np.sqrt(np.mean(later) * np.mean(~later)))
     size = relative * float(np.median(along[:, 2]))
     first = int(views[np.argmax(later)])
-    return FocusChange(relative, size, fit.sigma, (first,), (1.0 - share,), is_once=True)
+    change = FocusChange(relative, size, fit.sigma, (first,), (1.0 - share,), is_once=True)
+    return _Explanation(change, deviance)
 
 
 def _change_of_single_views(
@@ -251,7 +260,7 @@ def _change_of_single_views(
         errors: positions without any change.
         along: vector from the camera to the target's depth in each view, m.
         views: indices of the views among all.
-        deviance_to_beat: of a focal length that changes in all views, with its number's penalty.
+        deviance_to_beat: of the best other change, with the penalty of its numbers.
     """
     count, chosen = len(views), list[int]()
     each_view = np.eye(count, dtype=bool)

@@ -12,6 +12,7 @@ numbers, their covariance P and variances of the noise W, `e ~ N(0, A P A^T + W)
 Reference: Mooring, Roth and Driels, Fundamentals of Manipulator Calibration, 1991.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -27,25 +28,8 @@ from .closure import MAX_CLOSURE_SCORE, Poses, contradicts_calibration
 from .misfit_evidence import VERY_STRONG_EVIDENCE, evidence, in_parts
 from .transform_fit import fit_transforms, mean_size, median_distance, misfit_text
 
-MIN_VIEWS = 8
-"""Fewest views: their poses have 48 numbers, and 18 determine both transforms and joint zeros."""
-
-ZERO_STD, LENGTH_STD, TWIST_STD, COMPLIANCE_STD = 0.03, 2e-3, 3e-3, 3e-3
-"""Standard deviations of the errors of a poor arm: of joint zeros (rad), of links (m and rad), and
-of a joint's angle under the weight of the arm (rad)."""
-
-SIZE_STD = 0.05
-"""Standard deviation of the target's size over the stated one."""
-
 SIZE_STEP = 1e-4
 """Relative step by which the target's size is varied."""
-
-SHARE_STDS = np.array([0.5, 0.1])
-"""Standard deviations, before any view, of the zero (rad) of a joint that is reported wrongly, and
-of the share by which it turns too far. At which reading it is right is not known."""
-
-MIN_SHARE = 1.0 / 300.0
-"""Smallest share that is named: gears have at most some hundred teeth, and one is one too many."""
 
 MAX_TRIED = 4
 """Number of the likeliest shares for which the poses are linearised again."""
@@ -61,6 +45,47 @@ MIN_LOGARITHM, MAX_LOGARITHM = -14.0, 0.0
 
 Twists = Float[np.ndarray, "views 6"]
 Columns = Float[np.ndarray, "views 6 numbers"]
+
+
+@dataclasses.dataclass(frozen=True)
+class JointShareOptions:
+    """Say how large the errors of a poor arm are, and which share of a joint is named.
+
+    Attributes:
+        zero_std, length_std, twist_std, compliance_std: standard deviations of the errors of a poor
+            arm: of joint zeros (rad), of links (m and rad), and of a joint's angle under the weight
+            of the arm (rad).
+        size_std: standard deviation of the target's size over the stated one.
+        share_zero_std, share_std: standard deviations, before any view, of the zero (rad) of a
+            joint that is reported wrongly, and of the share by which it turns too far. At which
+            reading it is right is not known.
+        min_share: smallest share that is named: gears have at most some hundred teeth, and one is
+            one too many.
+        min_views: fewest views: their poses have 48 numbers, and 18 determine both transforms and
+            joint zeros.
+        min_odds: smallest odds of a share.
+    """
+
+    zero_std: float = 0.03
+    length_std: float = 2e-3
+    twist_std: float = 3e-3
+    compliance_std: float = 3e-3
+    size_std: float = 0.05
+    share_zero_std: float = 0.5
+    share_std: float = 0.1
+    min_share: float = 1.0 / 300.0
+    min_views: int = 8
+    min_odds: float = VERY_STRONG_EVIDENCE
+
+    @property
+    def stds_of_share(self) -> tuple[float, float]:
+        """The standard deviations of the zero and of the share of a joint."""
+        return self.share_zero_std, self.share_std
+
+    def stds_of_arm(self, joint_count: int) -> Float[np.ndarray, "numbers"]:
+        """Return the standard deviations of the numbers that all arms have, by kind and joint."""
+        of_links = self.length_std, self.length_std, self.twist_std
+        return np.repeat([self.zero_std, *of_links, self.compliance_std], joint_count)
 
 
 class JointShare(NamedTuple):
@@ -118,6 +143,7 @@ def find_joint_share(
     camera_from_world: SE3,
     mount: str,
     used: Bool[np.ndarray, "views"],
+    options: JointShareOptions | None = None,
 ) -> JointShare | None:
     """Return the joint that turns by another angle than reported, if that explains the views.
 
@@ -127,21 +153,25 @@ def find_joint_share(
         camera_from_world: from the pictures alone, `(views)`.
         mount: where the camera is stated to be.
         used: mask of the views to use.
+        options: what a poor arm is, and which share is named; by default `JointShareOptions()`.
 
     Returns:
         None if the errors of a poor arm explain the views as well.
     """
+    options = options or JointShareOptions()
     camera = host_matrices(camera_from_world)
     views = np.flatnonzero(used & np.isfinite(camera).all(axis=(1, 2)))
-    if len(views) < MIN_VIEWS:
+    if len(views) < options.min_views:
         return None
-    chain = _Chain(arm, readings[views], camera[views], mount_frames(mount)[0] == "tool")
+    in_hand = mount_frames(mount)[0] == "tool"
+    chain = _Chain(arm, readings[views], camera[views], in_hand, options)
     errors, common, motion = chain.linearised(chain.readings)
     given = _fit(errors, common, chain.stds)
     possible = chain.possible_shares
-    gains = given.gains(np.stack([chain.columns(motion, *pair) for pair in possible]), SHARE_STDS)
+    shares = np.stack([chain.columns(motion, *pair) for pair in possible])
+    gains = given.gains(shares, np.array(options.stds_of_share))
     # Twice the logarithm of the odds, where any joint may be wrong.
-    needed = 2.0 * np.log(VERY_STRONG_EVIDENCE * len(possible))
+    needed = 2.0 * np.log(options.min_odds * len(possible))
     # Most arms are done with here.
     if gains.max() < 0.0:
         return None
@@ -149,11 +179,11 @@ def find_joint_share(
     tried = [(chain.share_of(joint, reading), (joint, reading)) for joint, reading in likeliest]
     explained, (joint, reading) = min(tried, key=lambda entry: entry[0].deviance)
     share = float(explained.numbers[-1])
-    if given.deviance - explained.deviance < needed or abs(share) < MIN_SHARE:
+    if given.deviance - explained.deviance < needed or abs(share) < options.min_share:
         return None
     # The zero alone may be all that is wrong: the odds of a share are its density at zero without
     # the views over the one with them (Savage and Dickey).
-    ratio = SHARE_STDS[-1] / explained.std
+    ratio = options.share_std / explained.std
     if (share / explained.std) ** 2 - 2.0 * np.log(ratio) < needed:
         return None
     odds = evidence(in_parts(given.left_over), in_parts(explained.left_over), 1)
@@ -178,19 +208,20 @@ class _Chain(NamedTuple):
         readings: of the joints.
         camera: `camera_from_world` of the views.
         in_hand: whether the camera is on the hand.
+        options: standard deviations of the errors of a poor arm.
     """
 
     arm: SerialArm
     readings: Float[np.ndarray, "views joints"]
     camera: Poses
     in_hand: bool
+    options: JointShareOptions
 
     @property
     def stds(self) -> Float[np.ndarray, "numbers"]:
         """Standard deviations of the numbers that all arms have; infinite for both transforms."""
-        stds = [ZERO_STD, LENGTH_STD, LENGTH_STD, TWIST_STD, COMPLIANCE_STD]
-        of_arm = np.repeat(stds, self.arm.joint_count)
-        return np.concatenate([np.full(12, np.inf), [SIZE_STD], of_arm])
+        of_arm = self.options.stds_of_arm(self.arm.joint_count)
+        return np.concatenate([np.full(12, np.inf), [self.options.size_std], of_arm])
 
     @property
     def possible_shares(self) -> list[tuple[int, int]]:
@@ -212,7 +243,7 @@ class _Chain(NamedTuple):
 
     def share_of(self, joint: int, reading: int) -> "_Fit":
         """Return the likeliest share by which a joint turns with a reading, the last number."""
-        turned, stds = self.readings.copy(), np.append(self.stds, SHARE_STDS)
+        turned, stds = self.readings.copy(), np.append(self.stds, self.options.stds_of_share)
         numbers = np.zeros(2)
         fit = None
         for _ in range(MAX_STEPS):

@@ -2,7 +2,9 @@
 
 Errors of translation and rotation are Gaussian with variances that are estimated from the views.
 The errors of a real arm are alike in views near each other, so that n views count as
-n (1 - r) / (1 + r), with the correlation r of the errors that remain in successive views.
+n (1 - r) / (1 + r), with the correlation r of the errors that remain in successive views. They
+count without those that determine the numbers, as in a restricted likelihood: a few views always
+leave less with more numbers. The unit of information of Schwarz's criterion is a view.
 
 The tilt of a small flat target errs far more than its other coordinates, and moves it as well: six
 numbers of a view then tell little more than one. Therefore an explanation has to be likely twice:
@@ -58,11 +60,15 @@ def evidence(
     )
     correlation = float(np.sum(scaled[1:] * scaled[:-1])) / (numbers * (count - 1))
     correlation = min(max(correlation, 0.0), 1.0)
-    effective = max(count * (1.0 - correlation) / (1.0 + correlation), 1.0)
+    independent = (1.0 - correlation) / (1.0 + correlation)
+    # Both transforms, of six numbers for each kind of error, were fitted as well.
+    determining = (6 * errors.shape[1] + parameters) / numbers
+    effective = max((count - determining) * independent, 0.0)
     # -2 log L = 3 n log variance, for translation and rotation, or n log det covariance.
     alike = 3.0 * float(np.sum(np.log(error_variances(given) / variances)))
     by_direction = _log_determinant(given_scaled) - _log_determinant(scaled)
-    return effective * min(alike, by_direction) - parameters * np.log(numbers * effective)
+    penalty = parameters * np.log(max(count * independent, 1.0))
+    return float(effective * min(alike, by_direction) - penalty)
 
 
 def _log_determinant(scaled: Float[np.ndarray, "views numbers"]) -> float:

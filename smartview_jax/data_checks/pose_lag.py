@@ -23,7 +23,7 @@ from .changes import ChangeOptions
 from .closure import MAX_CLOSURE_SCORE
 from .lag_fit import MAX_FRACTION, LagFit, LaggingViews
 from .misfit_evidence import evidence
-from .transform_fit import fit_transforms, mean_misfit, median_distance, misfit_text
+from .transform_fit import mean_misfit, mean_size, median_distance, misfit_text
 
 MIN_VIEWS = 6
 """Smallest number of views in which a lag is looked for: a third of the views may not tell it."""
@@ -127,16 +127,15 @@ def find_lag(
         views[end] = False
         data = LaggingViews(robot, camera, views, mount, direction)
         fit = LagFit(data)
-        given_misfit, given_score = mean_misfit(fit.closure, distance)
-        if given_score < options.min_score:
+        if mean_misfit(fit.closure, distance)[1] < options.min_score:
             continue
         first = fit.step()
         if not first.fraction > MIN_STEP * first.std:
             continue
         fraction, std, errors, errors_without = fit.likeliest(first)
-        holder = data.mount_from_holder(fraction)
-        closure = fit_transforms(holder, fit.camera).closure
-        misfit, score = mean_misfit(closure, distance)
+        # Where they are likelier, as for the other faults.
+        misfit, score = mean_size(errors.reshape(-1, 6), distance)
+        given_misfit, given_score = mean_size(errors_without.reshape(-1, 6), distance)
         odds = evidence(errors_without, errors, 1)
         if (
             odds > 2.0 * np.log(options.min_odds)

@@ -17,10 +17,11 @@ from ..geometry import as_se3, host_matrices
 from .closure import Poses, contradicts_calibration
 from .convention_hypotheses import listed_views
 from .largest_group import disagreements
-from .misfit_evidence import VERY_STRONG_EVIDENCE, errors_of, evidence
+from .misfit_evidence import VERY_STRONG_EVIDENCE, evidence, in_parts
+from .smooth_errors import errors_of_transforms
 from .transform_fit import (
     fit_transforms,
-    mean_misfit,
+    mean_size,
     median_distance,
     misfit_text,
     motions_from_camera_to_target,
@@ -107,6 +108,7 @@ class ResizedPictures(NamedTuple):
 
     Attributes:
         views: indices of the views.
+        others: indices of the other views that are used.
         is_later_part: whether they are all views from one on.
         size: factor by which their pictures are larger than the others.
         shift: by how much they are shifted when they have that size, px.
@@ -118,6 +120,7 @@ class ResizedPictures(NamedTuple):
     """
 
     views: tuple[int, ...]
+    others: tuple[int, ...]
     is_later_part: bool
     size: float
     shift: tuple[float, float]
@@ -138,9 +141,13 @@ class ResizedPictures(NamedTuple):
         Args:
             view_ids: names of the views.
         """
-        names = [view_ids[view] for view in self.views]
+        names, others = ([view_ids[k] for k in part] for part in (self.views, self.others))
         across, down = map(round, self.shift)
-        where = f"from view {names[0]} on" if self.is_later_part else f"in {listed_views(names)}"
+        where = f"in {listed_views(names)}"
+        if self.is_later_part:
+            where = f"from view {names[0]} on"
+        elif len(others) < len(names):
+            where = f"in all views but {', '.join(others)}"
         return (
             f"{where}, the pictures contradict the others, as if they had been resized by a factor "
             f"of {self.size:.3f} and then shifted by ({across}, {down}) px: "
@@ -171,21 +178,22 @@ def find_resized_pictures(
     if not np.isfinite([robot, one_camera, *parts.seen]).all():
         return None
     parts = parts.divided_by_robot(robot)
-    if not parts.of_second.any():
+    if not parts.of_second.any() or parts.of_second.all():
         return None
     (given, given_distance), (corrected, distance) = (
-        _closure(robot, seen) for seen in (one_camera, parts.camera_from_world)
+        _errors(robot, seen) for seen in (one_camera, parts.camera_from_world)
     )
     numbers = RESIZING_NUMBERS if parts.is_first_known else CAMERA_NUMBERS
-    odds = evidence(errors_of(given), errors_of(corrected), numbers)
+    odds = evidence(in_parts(given), in_parts(corrected), numbers)
     # The part may begin at any view, or each view may be of either part.
     odds -= 2.0 * (np.log(len(views)) if parts.is_later_part else len(views) * np.log(2.0))
     if odds < 2.0 * np.log(VERY_STRONG_EVIDENCE):
         return None
-    misfit, score = mean_misfit(corrected, distance)
-    given_misfit, given_score = mean_misfit(given, given_distance)
+    misfit, score = mean_size(corrected, distance)
+    given_misfit, given_score = mean_size(given, given_distance)
     return ResizedPictures(
         tuple(views[parts.of_second].tolist()),
+        tuple(views[~parts.of_second].tolist()),
         parts.is_later_part,
         *parts.size_and_shift,
         misfit,
@@ -196,9 +204,9 @@ def find_resized_pictures(
     )
 
 
-def _closure(robot: Poses, camera: Poses) -> tuple[Poses, float]:
-    """Return the closure error of finite poses, between camera and target, and their distance."""
+def _errors(robot: Poses, camera: Poses) -> tuple[Float[np.ndarray, "views 6"], float]:
+    """Return what the likeliest transforms leave over of finite poses, and their distance."""
     every_view = np.arange(len(robot))
     motions = motions_from_camera_to_target(as_se3(robot), as_se3(camera), every_view, 1.0)
     assert motions is not None
-    return fit_transforms(*motions).closure, median_distance(motions[1])
+    return errors_of_transforms(*motions), median_distance(motions[1])

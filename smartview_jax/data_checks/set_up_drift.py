@@ -21,10 +21,10 @@ from jaxtyping import Bool, Float
 
 from ..calibration import mount_frames
 from ..dataset import evenly_spaced
-from ..geometry import host_adjoints, host_logarithms
+from ..geometry import host_logarithms
 from .closure import MAX_VIEWS, Poses, contradicts_calibration
-from .misfit_evidence import VERY_STRONG_EVIDENCE
-from .smooth_errors import LinearFit, ViewErrors, pose_kernels
+from .misfit_evidence import VERY_STRONG_EVIDENCE, evidence, in_parts
+from .smooth_errors import LinearFit, ViewErrors, by_transforms, pose_kernels
 from .transform_fit import fit_transforms, mean_size, median_distance, misfit_text, motions_of_views
 
 
@@ -131,21 +131,28 @@ def find_drift(
     seen = ViewErrors.likelier(at_mount, calibration, robot @ fit.holder_from_world)
     without = seen.white(calibration)
     limit = 2.0 * np.log(options.min_odds)
+    left_over = seen.left_over(calibration, without)
     drifts = {kind: seen.white(model) for kind, model in models.items()}
-    drifts = {kind: drift for kind, drift in drifts.items() if _odds(without, drift) > limit}
+    # Not by errors along one line, as of a flat target's tilt, which creep by chance.
+    drifts = {
+        kind: drift
+        for kind, drift in drifts.items()
+        if _odds(without, drift) > limit
+        and evidence(in_parts(left_over), in_parts(seen.left_over(models[kind], drift)), 6) > limit
+    }
     # A drift is rare: most sets are done with after a look at white errors.
     if not drifts:
         return None
     kernels = pose_kernels(robot)
     smooth = seen.likeliest(calibration, kernels)
-    given, given_score = mean_size(at_mount - calibration @ without.numbers, distance)
+    given, given_score = mean_size(left_over, distance)
     candidates = []
     for kind, drift in drifts.items():
         if _odds(smooth, seen.likeliest(models[kind], kernels)) <= limit:
             continue
         # The time runs from -1 to 1.
         (translation, rotation), size = mean_size(2.0 * drift.numbers[None, -6:], distance)
-        misfit, score = mean_size(at_mount - models[kind] @ drift.numbers, distance)
+        misfit, score = mean_size(seen.left_over(models[kind], drift), distance)
         if size > options.min_size:
             ends = int(views[0]), int(views[-1])
             sizes = translation, rotation, misfit, given, score, given_score
@@ -163,7 +170,6 @@ def _by_calibration(mount_from_holder: Poses) -> Float[np.ndarray, "views 6 13"]
 
     The size scales the robot's motion. A wrong one would hide a target that creeps.
     """
-    eye = np.broadcast_to(np.eye(6), (len(mount_from_holder), 6, 6))
     size = np.zeros((len(mount_from_holder), 6, 1))
     size[:, :3, 0] = -mount_from_holder[:, :3, 3]
-    return np.concatenate([eye, host_adjoints(mount_from_holder), size], axis=2)
+    return np.concatenate([by_transforms(mount_from_holder), size], axis=2)

@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from ..geometry import host_adjoints
+from ..geometry import host_adjoints, host_logarithms
 from .closure import Poses
 from .misfit_evidence import error_variances, in_parts
+from .transform_fit import fit_transforms
 
 REACHES = (0.5, 1.0, 3.0)
 """Reaches of the robot's errors that are tried, in position and in rotation, over the root mean
@@ -88,14 +89,27 @@ class ViewErrors(NamedTuple):
         mount_from_world: Poses,
     ) -> "ViewErrors":
         """Return the errors at the mount or at the target, where the model leaves white noise."""
-        eye = np.tile(np.eye(6), (len(at_mount), 1, 1))
-        changes = eye, host_adjoints(np.linalg.inv(mount_from_world))
-        frames = (cls((change @ at_mount[..., None])[..., 0], change) for change in changes)
+        frames = cls.at_both_ends(at_mount, mount_from_world)
         return min(frames, key=lambda errors: errors.white(model).likelihood)
+
+    @classmethod
+    def at_both_ends(
+        cls, at_mount: Float[np.ndarray, "views 6"], mount_from_world: Poses
+    ) -> tuple["ViewErrors", "ViewErrors"]:
+        """Return the errors at the mount and at the target."""
+        eye = np.tile(np.eye(6), (len(at_mount), 1, 1))
+        to_target = host_adjoints(np.linalg.inv(mount_from_world))
+        return cls(at_mount, eye), cls((to_target @ at_mount[..., None])[..., 0], to_target)
 
     def white(self, model: Float[np.ndarray, "views 6 numbers"]) -> "LinearFit":
         """Return the fit of a model to errors that are white noise."""
         return _fitted(self.values, self.change @ model, _Process.white(len(model)))
+
+    def left_over(
+        self, model: Float[np.ndarray, "views 6 numbers"], fit: "LinearFit"
+    ) -> Float[np.ndarray, "views 6"]:
+        """Return the errors that a fit of a model leaves over, m and rad."""
+        return self.values - (self.change @ model) @ fit.numbers
 
     def likeliest(
         self, model: Float[np.ndarray, "views 6 numbers"], kernels: Kernels
@@ -117,6 +131,41 @@ class ViewErrors(NamedTuple):
                         best, choice = fit, tried
         assert best is not None
         return best
+
+
+def by_transforms(mount_from_holder: Poses) -> Float[np.ndarray, "views 6 12"]:
+    """Return the derivatives of closure errors at the mount by twists of both transforms."""
+    eye = np.broadcast_to(np.eye(6), (len(mount_from_holder), 6, 6))
+    return np.concatenate([eye, host_adjoints(mount_from_holder)], axis=2)
+
+
+def errors_of_transforms(mount_from_holder: Poses, camera_from_world: Poses) -> np.ndarray:
+    """Return the errors that the likeliest transforms leave over, `(views, 6)`, m and rad.
+
+    Both poses are finite; see `left_over_errors`.
+    """
+    fit = fit_transforms(mount_from_holder, camera_from_world)
+    mount_from_world = mount_from_holder @ fit.holder_from_world
+    return left_over_errors(fit.closure, by_transforms(mount_from_holder), mount_from_world)[0]
+
+
+def left_over_errors(
+    closure: Poses, model: Float[np.ndarray, "views 6 numbers"], mount_from_world: Poses
+) -> tuple[Float[np.ndarray, "views 6"], Float[np.ndarray, "numbers"]]:
+    """Return the errors that the likeliest numbers of a model leave over, and the numbers.
+
+    The errors are at the mount or at the target, where they are more like white noise: next to an
+    arm's base, small rotations of a far hand are large translations.
+
+    Args:
+        closure: closure error of each view.
+        model: derivatives of the closure errors at the mount by the numbers.
+        mount_from_world: the pose of the target in the mount's frame in each view.
+    """
+    frames = ViewErrors.at_both_ends(host_logarithms(closure), mount_from_world)
+    fits = ((errors, errors.white(model)) for errors in frames)
+    errors, fit = min(fits, key=lambda entry: entry[1].likelihood)
+    return errors.left_over(model, fit), fit.numbers
 
 
 class LinearFit(NamedTuple):

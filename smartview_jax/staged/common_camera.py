@@ -17,6 +17,7 @@ from ..data_checks import (
     TRIED_LENSES,
     CameraDoubt,
     CameraMisfit,
+    ViewsAlone,
     camera_misfit,
     find_border_misfit,
     find_flexible_target,
@@ -87,7 +88,7 @@ class PictureFit(NamedTuple):
 
     Attributes:
         steps: how they were run.
-        observations: points and pixels of the usable views; of a stretched target, its own points.
+        alone: the usable views as they are fitted alone; of a stretched target, its own points.
         used: mask of the views that were used.
         unusable: views that cannot be used, with the reason, also the mismatched ones.
         mismatched: views that do not show the target, with the reason.
@@ -97,7 +98,7 @@ class PictureFit(NamedTuple):
     """
 
     steps: CameraSteps
-    observations: Observations
+    alone: ViewsAlone
     used: Bool[np.ndarray, "views"]
     unusable: dict[int, str]
     mismatched: dict[int, str]
@@ -113,7 +114,12 @@ class PictureFit(NamedTuple):
     def misfit(self, used: Bool[np.ndarray, "views"]) -> CameraMisfit | None:
         """Return how badly one camera fits some views; None if it fits, or nothing tells."""
         common = self.common
-        return camera_misfit(self.observations, used, common.camera, common.camera_from_world)
+        return camera_misfit(self.alone, used, common.camera, common.camera_from_world)
+
+    @property
+    def observations(self) -> Observations:
+        """Points and pixels of the usable views; of a stretched target, its own points."""
+        return self.alone.observations
 
     def doubts(
         self, used: Bool[np.ndarray, "views"], misfit: CameraMisfit | None
@@ -201,7 +207,7 @@ def fit_pictures(data: Dataset, steps: CameraSteps) -> PictureFit:
     steps, inliers = _with_gate_for_few_points(steps, observations, step1)
     steps.say("Step 2: one camera for all views")
     common = steps.common(observations, step1.camera, step1.camera_from_world, inliers)
-    stretched = None
+    alone, stretched = ViewsAlone(observations), None
     if steps.camera is None:
 
         def fit_again(of_stretched: Observations) -> tuple[Step1, CommonCameraFit]:
@@ -210,12 +216,10 @@ def fit_pictures(data: Dataset, steps: CameraSteps) -> PictureFit:
             again = steps.views_alone(data, of_stretched, used)
             return again, steps.common(of_stretched, again.camera, again.camera_from_world, inliers)
 
-        stretched = fit_of_stretched_target(observations, used, common, fit_again)
+        stretched = fit_of_stretched_target(alone, used, common, fit_again)
     if stretched is not None:
-        observations, step1, common = stretched[:3]
-    return PictureFit(
-        steps, observations, used, unusable, mismatched, step1, common, inliers, stretched
-    )
+        alone, step1, common = stretched[:3]
+    return PictureFit(steps, alone, used, unusable, mismatched, step1, common, inliers, stretched)
 
 
 def _with_gate_for_few_points(

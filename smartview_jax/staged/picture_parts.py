@@ -46,9 +46,10 @@ def resized_pictures(
     """
     if pictures.steps.camera is None:
         masks = _agreeing_views(pictures, first_view)
-        pairs = [_two_cameras(pictures, agreeing, misfit) for agreeing in masks]
+        pairs = (_two_cameras(pictures, agreeing, misfit) for agreeing in masks)
     else:
-        pairs = [_known_and_resized(pictures, pictures.steps.camera)]
+        masks = _resized_views(pictures, misfit)
+        pairs = (_known_and_resized(pictures, pictures.steps.camera, others) for others in masks)
     reports = (
         find_resized_pictures(
             mount_from_holder, pictures.common.camera_from_world, pictures.used, cameras
@@ -56,7 +57,10 @@ def resized_pictures(
         for cameras in pairs
         if cameras is not None
     )
-    named = [report for report in reports if report is not None]
+    named = (report for report in reports if report is not None)
+    # With a known camera the robot divides the views, whichever of them told the size.
+    if pictures.steps.camera is not None:
+        return next(named, None)
     return min(named, key=lambda report: report.score, default=None)
 
 
@@ -103,20 +107,42 @@ def has_views_of_other_camera(pictures: PictureFit) -> bool:
 
 def _unlike_most(pictures: PictureFit) -> Bool[np.ndarray, "views"]:
     """Return the views that a known camera fits far worse than the half that it fits best."""
-    used, rms = pictures.used, pictures.step1.rms
-    best = np.sort(rms[used])[: max(np.count_nonzero(used) // 2, MIN_VIEWS)]
-    return used & ~(rms <= MAX_RMS_RATIO * np.median(best))
+    best = pictures.used & ~_worst_half(pictures)
+    return _far_above(pictures, float(np.median(pictures.step1.rms[best])))
 
 
-def _known_and_resized(pictures: PictureFit, known: Camera) -> TwoCameras | None:
-    """Return a known camera, and the same for the views that it does not fit, resized and shifted.
+def _worst_half(pictures: PictureFit) -> Bool[np.ndarray, "views"]:
+    """Return the half of the views that a known camera fits worst, without the `MIN_VIEWS` best."""
+    used = np.flatnonzero(pictures.used)
+    order = used[np.argsort(pictures.step1.rms[used])]
+    return np.isin(np.arange(len(pictures.used)), order[max(len(used) // 2, MIN_VIEWS) :])
 
-    Returns:
-        None if the known camera fits all views.
+
+def _far_above(pictures: PictureFit, rms: float) -> Bool[np.ndarray, "views"]:
+    """Return the views in which a known camera leaves far more than an error, px."""
+    return pictures.used & ~(pictures.step1.rms <= MAX_RMS_RATIO * rms)
+
+
+def _resized_views(
+    pictures: PictureFit, misfit: CameraMisfit | None
+) -> Iterator[Bool[np.ndarray, "views"]]:
+    """Yield masks of views that may not be as a known camera took them, enough to find their size.
+
+    They are those that the camera fits far worse than most, or than a camera of its own would fit
+    each. Where most pictures were resized, and only a little, those that it fits worst are.
     """
-    others = _unlike_most(pictures)
-    if not others.any():
-        return None
+    masks = [_unlike_most(pictures), _worst_half(pictures)]
+    if misfit is not None:
+        masks.append(_far_above(pictures, misfit.single_rms))
+    for mask in masks:
+        if mask.any() and not (mask == pictures.used).all():
+            yield mask
+
+
+def _known_and_resized(
+    pictures: PictureFit, known: Camera, others: Bool[np.ndarray, "views"]
+) -> TwoCameras:
+    """Return a known camera, and the same for other views, resized and shifted."""
     resized = fit_resized_camera(known, pictures.observations, others, pictures.steps.lens)
     seen_by_other = run_step1(
         pictures.observations, known.image_size, pictures.used, pictures.steps.lens, resized

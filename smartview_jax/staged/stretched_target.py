@@ -22,7 +22,7 @@ from scipy.linalg import expm
 from scipy.optimize import minimize
 
 from ..calibration import PRINT, TargetShape, flat_shape
-from ..data_checks import CameraDoubt, camera_misfit
+from ..data_checks import CameraDoubt, ViewsAlone, camera_misfit
 from ..dataset import Observations
 from .picture_steps import Step1
 from .staged_fit import CommonCameraFit
@@ -52,13 +52,13 @@ class StretchedTarget(NamedTuple):
     """The fit of one camera to the pictures of a stretched target.
 
     Attributes:
-        observations: the views, with the points of the stretched target.
+        alone: the views, with the points of the stretched target.
         step1, common_fit: Steps 1 and 2 for these.
         shape: the target's shape.
         doubt: what was wrong with the camera as long as the target was taken as stated.
     """
 
-    observations: Observations
+    alone: ViewsAlone
     step1: Step1
     common_fit: CommonCameraFit
     shape: TargetShape
@@ -66,7 +66,7 @@ class StretchedTarget(NamedTuple):
 
 
 def fit_of_stretched_target(
-    observations: Observations,
+    alone: ViewsAlone,
     used: Bool[np.ndarray, "views"],
     common_fit: CommonCameraFit,
     fit_again: Callable[[Observations], tuple[Step1, CommonCameraFit]],
@@ -74,7 +74,7 @@ def fit_of_stretched_target(
     """Return the fit of a stretched target; None if one camera fits the target as stated.
 
     Args:
-        observations: points, as stated, and pixels.
+        alone: the views, with the points as stated.
         used: mask of the views to ask.
         common_fit: the camera that fits these best.
         fit_again: function from observations to Steps 1 and 2.
@@ -82,12 +82,12 @@ def fit_of_stretched_target(
     Returns:
         None, too, if one camera fits the pictures for no stretch of the target.
     """
-    misfit = camera_misfit(observations, used, common_fit.camera, common_fit.camera_from_world)
-    shape = None if misfit is None else likeliest_stretch(observations, used)
+    misfit = camera_misfit(alone, used, common_fit.camera, common_fit.camera_from_world)
+    shape = None if misfit is None else likeliest_stretch(alone.observations, used)
     if misfit is None or shape is None:
         return None
-    of_stretched = observations.of_shape(shape)
-    step1, fit = fit_again(of_stretched)
+    of_stretched = ViewsAlone(alone.observations.of_shape(shape))
+    step1, fit = fit_again(of_stretched.observations)
     if camera_misfit(of_stretched, used, fit.camera, fit.camera_from_world) is not None:
         return None
     aspect = 2.0 * float(np.asarray(shape.coefficients)[PRINT][0] / shape.half_size)

@@ -19,7 +19,9 @@ CAMERA_FROM_MOUNT = transform([10.0, -20.0, 95.0], [0.02, 0.05, -0.1])
 HOLDER_FROM_WORLD = transform([180.0, 0.0, 30.0], [0.4, 0.1, 0.6])
 
 
-def moving_alike(seed=0, knock=UNCHANGED, push=UNCHANGED, noise=(2e-4, 0.02), views=VIEWS):
+def moving_alike(
+    seed=0, knock=UNCHANGED, push=UNCHANGED, noise=(2e-4, 0.02), views=VIEWS, errs_at="mount"
+):
     """The robot's `mount_from_holder` and `camera_from_world`, `(views, 4, 4)` each.
 
     Args:
@@ -28,13 +30,16 @@ def moving_alike(seed=0, knock=UNCHANGED, push=UNCHANGED, noise=(2e-4, 0.02), vi
         push: motion of the target on its holder in each view.
         noise: errors of the robot, m and degrees.
         views: number of views.
+        errs_at: where the robot's errors are independent, "mount" or "holder": its hand, which
+            holds the camera or the target.
     """
     rng = np.random.default_rng(seed)
     robot, error = np.empty((2, views, 4, 4))
     for view in range(views):
         robot[view] = transform(rng.normal(0.0, 20.0, 3), rng.normal(0.0, 0.1, 3))
         error[view] = transform(rng.normal(0.0, noise[1], 3), rng.normal(0.0, noise[0], 3))
-    return robot, CAMERA_FROM_MOUNT @ knock @ error @ robot @ push @ HOLDER_FROM_WORLD
+    moved = error @ robot if errs_at == "mount" else robot @ error
+    return robot, CAMERA_FROM_MOUNT @ knock @ moved @ push @ HOLDER_FROM_WORLD
 
 
 def mirrored(camera, axis=0):

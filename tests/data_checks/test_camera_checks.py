@@ -9,7 +9,8 @@ from shared_data import shared_case
 
 from smartview_jax import Dataset
 from smartview_jax.cameras import Fisheye
-from smartview_jax.data_checks.camera_checks import camera_misfit, camera_problem
+from smartview_jax.data_checks import camera_checks
+from smartview_jax.data_checks.camera_checks import ViewsAlone, camera_misfit, camera_problem
 from smartview_jax.staged import fit_staged
 
 USED = np.ones(8, dtype=bool)
@@ -24,17 +25,33 @@ def seen(scene):
 
 def test_the_true_camera_is_not_doubted(seen):
     observations, camera, poses = seen
-    assert camera_misfit(observations, USED, camera, poses) is None
+    assert camera_misfit(ViewsAlone(observations), USED, camera, poses) is None
 
 
 def test_a_known_camera_of_other_pictures_is_doubted(seen):
     """Pictures of half the size, scaled up: as if the focal length were another one."""
     observations, camera, poses = seen
     wrong = dataclasses.replace(camera, alpha_u=1.2 * camera.alpha_u)
-    misfit = camera_misfit(observations, USED, wrong, poses)
+    misfit = camera_misfit(ViewsAlone(observations), USED, wrong, poses)
     assert misfit is not None
     text = camera_problem(misfit, "radial", True, lambda _: (wrong, poses), observations, USED)
     assert text.startswith("the known camera does not fit these pictures: with a free pose")
+
+
+def test_each_view_is_fitted_alone_once(seen, monkeypatch):
+    """However many cameras and masks are asked: the fits depend on neither."""
+    observations, camera, poses = seen
+    wrong = dataclasses.replace(camera, alpha_u=1.2 * camera.alpha_u)
+    fitted, fit = [], camera_checks.fit_of_any_lens
+    monkeypatch.setattr(
+        camera_checks, "fit_of_any_lens", lambda *given: fitted.append(given) or fit(*given)
+    )
+    alone = ViewsAlone(observations)
+    few = camera_misfit(alone, np.arange(8) < 3, camera=wrong, camera_from_world=poses)
+    assert len(fitted) == 3
+    first, second = (camera_misfit(alone, USED, wrong, poses) for _ in range(2))
+    assert len(fitted) == len(USED)
+    assert first == second != few
 
 
 def test_a_fisheye_is_not_blamed_on_the_robot():
@@ -53,7 +70,7 @@ def test_a_fisheye_is_not_blamed_on_the_robot():
 def test_a_lens_that_fits_is_named_and_otherwise_none(seen):
     observations, camera, poses = seen
     wrong = dataclasses.replace(camera, lens=Fisheye(k1=-0.9))
-    misfit = camera_misfit(observations, USED, wrong, poses)
+    misfit = camera_misfit(ViewsAlone(observations), USED, wrong, poses)
     assert misfit is not None
 
     def fitted(name):

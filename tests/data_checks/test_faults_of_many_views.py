@@ -64,3 +64,19 @@ def test_a_lens_that_zoomed_once_is_not_one_that_changes_all_the_time():
     distances = SeenDistances(np.zeros(3), np.full(VIEWS, 1e-4))
     fault = fault_of(robot, camera, distances=distances)
     assert "the lens had zoomed" in fault.sentence
+
+
+def test_a_camera_pushed_along_its_axis_by_little_is_no_focus_that_changed_once():
+    """In most views the robot errs by as much, and a focus explains the depths as well."""
+    knock = np.array([transform([0.0, 0.0, 0.0], [0.0, 0.0, 5e-3 * (k >= 12)]) for k in range(24)])
+    robot, camera = moving_alike(6, noise=(1e-3, 0.1), views=24, errs_at="holder")
+    poses = RobotAndCamera(
+        as_se3(np.linalg.inv(robot)),
+        as_se3(knock @ camera),
+        "eye_in_hand",
+        [f"v{view}" for view in range(24)],
+        distances=SeenDistances(np.zeros(3), np.full(24, 1e-4)),
+    )
+    fault = find_shared_fault(poses, np.ones(24, dtype=bool))
+    assert "from view v12 on, the views contradict the earlier ones" in fault.sentence
+    assert "as if the camera had been moved" in fault.sentence

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from described_arm import A, D, camera_poses, described, readings
 
-from smartview_jax.data_checks import find_joint_share
+from smartview_jax.data_checks import JointShareOptions, find_joint_share
 from smartview_jax.geometry import as_se3
 
 VIEWS = 12
@@ -66,3 +66,14 @@ def test_too_few_views_tell_no_ratio():
     camera = as_se3(camera_poses(READINGS @ transmission, "eye_in_hand"))
     few = np.arange(VIEWS) < 7
     assert find_joint_share(READINGS, described(), camera, "eye_in_hand", few) is None
+
+
+@pytest.mark.parametrize(
+    "options",
+    [JointShareOptions(min_share=0.03), JointShareOptions(share_std=1e-5)],
+)
+def test_the_user_says_how_poor_an_arm_may_be_and_which_share_matters(options):
+    camera = as_se3(camera_poses(READINGS @ np.diag([1, 1, 1.02, 1, 1, 1]), "eye_in_hand"))
+    arguments = READINGS, described(), camera, "eye_in_hand", EVERY_VIEW
+    assert find_joint_share(*arguments) is not None
+    assert find_joint_share(*arguments, options=options) is None

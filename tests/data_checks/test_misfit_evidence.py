@@ -4,7 +4,7 @@ import numpy as np
 from robot_motions import VIEWS, moving_alike
 from scipy.spatial.transform import Rotation
 
-from smartview_jax.data_checks import find_change
+from smartview_jax.data_checks import find_change, find_drift
 from smartview_jax.data_checks.misfit_evidence import STRONG_EVIDENCE, errors_of, evidence
 from smartview_jax.geometry import as_se3, host_exponentials
 
@@ -24,6 +24,10 @@ def tilted(seed):
 def test_a_small_targets_tilt_is_no_change():
     """By chance it is larger after some view; alike in all directions that would be no chance."""
     assert not any(find_change(*tilted(seed), EVERY_VIEW) for seed in (7, 8, 27))
+
+
+def test_a_small_targets_tilt_is_no_drift():
+    assert not any(find_drift(*tilted(seed), EVERY_VIEW) for seed in (8, 29))
 
 
 def test_errors_along_one_line_are_no_evidence_for_six_numbers():

@@ -87,6 +87,12 @@ def test_a_resized_picture_of_a_known_camera_is_named_and_left_out(board_views):
     assert [view.view for view in staged.rejected if view.point is None] == ["8"]
 
 
+def test_the_few_pictures_that_are_as_a_known_camera_took_them_are_named(board_views):
+    data = with_resized(board_views, ~np.isin(VIEW, (3, 8)), 0.9, (20.0, -10.0))
+    with pytest.raises(ValueError, match=r"^in all views but 3, 8, .* a factor of 0\.(89|90)\d "):
+        fit_staged(data, camera=KNOWN)
+
+
 def test_nothing_is_said_of_pictures_of_the_known_camera(board_views):
     staged = fit_staged(board_views, camera=KNOWN)
     assert staged.warnings == ()
