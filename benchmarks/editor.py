@@ -5,11 +5,15 @@ this process. A click is timed from the release of the mouse until all five view
 answer; for comparison, the server's own share, with the change on the disk.
 """
 
+import queue
 import shutil
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -19,6 +23,12 @@ import smartview_jax as sv
 from smartview_jax.cameras import OpenCV5
 from smartview_jax.editor import Conversation, ModelSession, serve
 from smartview_jax.geometry import five_viewpoints, host_matrices
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+PATIENCE = 30.0
+"""Longest wait for the server to begin or to end, s."""
 
 LIMIT_MS = 100.0
 """Largest median time from a click to the drawn answer, ms."""
@@ -144,40 +154,58 @@ def _page_times(session: ModelSession, count: int) -> list[float] | None:
         from playwright.sync_api import sync_playwright
     except ImportError:
         return None
-    addresses: list[str] = []
     with sync_playwright() as playwright:
         path = shutil.which("chromium") or playwright.chromium.executable_path
         if not Path(path).is_file():
             return None
-        threading.Thread(target=serve, args=(session, 0, addresses.append), daemon=True).start()
-        while not addresses:
-            time.sleep(0.02)
         browser = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
-        page = browser.new_page(viewport={"width": 1600, "height": 1000})
-        start = time.perf_counter()
-        page.goto(addresses[0])
-        page.wait_for_function("window.smartviewEditor?.ready", timeout=120_000)
-        page.evaluate("smartviewEditor.ready")
-        print(f"page with all pictures: {time.perf_counter() - start:.1f} s")
-        page.wait_for_function("smartviewEditor.complete", timeout=600_000)
-        print(f"features of all pictures: {time.perf_counter() - start:.1f} s")
-        page.evaluate(WATCH)
-        for view, pixel in _clicks(session, count):
-            x, y = page.evaluate(
-                """([k, pixel]) => {
-                    const view = smartviewEditor.views[k];
-                    const box = view.element.getBoundingClientRect(), at = view.toScreen(pixel);
-                    return [at[0] + box.left, at[1] + box.top];
-                }""",
-                [view, pixel],
-            )
-            if view == 0:
-                page.keyboard.press("n")
-            page.keyboard.down("Alt")
-            page.mouse.click(x, y)
-            page.keyboard.up("Alt")
-            page.evaluate("smartviewEditor.busy")
-            page.wait_for_timeout(120)
-        times = page.evaluate("smartviewEditor.times")
+        with _served(session) as address:
+            times = _times_of_clicks(browser, address, session, count)
         browser.close()
     return times[2:]
+
+
+@contextmanager
+def _served(session: ModelSession) -> Iterator[str]:
+    """Serve a session in a second thread, yield the page's address, and end the server."""
+    addresses: queue.Queue[str] = queue.Queue()
+    stop = threading.Event()
+    server = threading.Thread(target=serve, args=(session, 0, addresses.put, stop), daemon=True)
+    server.start()
+    try:
+        yield addresses.get(timeout=PATIENCE)
+    finally:
+        stop.set()
+        server.join(PATIENCE)
+
+
+def _times_of_clicks(
+    browser: "Browser", address: str, session: ModelSession, count: int
+) -> list[float]:
+    """Return the times of clicks in the page at an address, ms."""
+    page = browser.new_page(viewport={"width": 1600, "height": 1000})
+    start = time.perf_counter()
+    page.goto(address)
+    page.wait_for_function("window.smartviewEditor?.ready", timeout=120_000)
+    page.evaluate("smartviewEditor.ready")
+    print(f"page with all pictures: {time.perf_counter() - start:.1f} s")
+    page.wait_for_function("smartviewEditor.complete", timeout=600_000)
+    print(f"features of all pictures: {time.perf_counter() - start:.1f} s")
+    page.evaluate(WATCH)
+    for view, pixel in _clicks(session, count):
+        x, y = page.evaluate(
+            """([k, pixel]) => {
+                const view = smartviewEditor.views[k];
+                const box = view.element.getBoundingClientRect(), at = view.toScreen(pixel);
+                return [at[0] + box.left, at[1] + box.top];
+            }""",
+            [view, pixel],
+        )
+        if view == 0:
+            page.keyboard.press("n")
+        page.keyboard.down("Alt")
+        page.mouse.click(x, y)
+        page.keyboard.up("Alt")
+        page.evaluate("smartviewEditor.busy")
+        page.wait_for_timeout(120)
+    return page.evaluate("smartviewEditor.times")

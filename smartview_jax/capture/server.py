@@ -316,17 +316,19 @@ def serve_capture(
     port: int = 0,
     announce: Callable[[str], None] = lambda address: None,
     max_views: int = 40,
+    stop: threading.Event | None = None,
 ) -> None:
-    """Serve the page of a session until the process is interrupted.
+    """Serve the page of a session until the process is interrupted, or until an event is set.
 
     Args:
         port: port to listen on; 0 takes a free one.
         announce: called with the page's address, including the token, when the server listens.
         max_views: largest number of views of an automatic run.
+        stop: ends the server when it is set, by another thread; None for never.
 
     Raises:
         ImportError: starlette or uvicorn is not installed.
         OSError: the port is in use.
     """
     with CapturePage(session, max_views) as page:
-        serve_page(lambda token, bound: capture_app(page, token, bound), port, announce)
+        serve_page(lambda token, bound: capture_app(page, token, bound), port, announce, stop)

@@ -25,7 +25,6 @@ def calibrate(
         typer.Argument(
             help="Data-set folder or file of easy_handeye2's samples, or several; the sample of "
             "the package if none is given.",
-            metavar="[DATASET]...",
         ),
     ] = None,
     out: Annotated[

@@ -53,7 +53,6 @@ def export(
         typer.Argument(
             help="A calibration.yaml, or one for each of several cameras, such as left.yaml "
             "right.yaml, or the folder of a calibrated rig.",
-            metavar="CALIBRATION...",
         ),
     ],
     to: Annotated[

@@ -150,16 +150,12 @@ class LeRobotOptions:
         given = {f"--{name.replace('_', '-')}": getattr(source, name) for name in _OF_BAGS}
         if wrong := [name for name, value in given.items() if value]:
             raise ValueError(f"{wrong[0]}: not for a data set of LeRobot")
-        if isinstance(_topics("--image", source.image), dict):
-            raise ValueError(
-                "--image: expected one feature; several cameras are imported from bags of ROS only"
-            )
         arm, _ = source.arm_and_names()
         numbers = self.episodes.split(",") if self.episodes is not None else []
         if not all(number.strip().isdigit() for number in numbers):
             raise ValueError(f"--episodes: expected numbers such as 0,3; found {self.episodes}")
         return sv.LeRobotSources(
-            image=source.image,
+            image=_topics("--image", source.image),
             state=source.joints or source.robot or "observation.state",
             names=tuple(self.state_names.split(",")) if self.state_names is not None else (),
             arm=arm,

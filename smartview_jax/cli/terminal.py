@@ -34,15 +34,26 @@ def print_lines(*texts: str) -> None:
     """
     console = Console()
     for line in "\n".join(texts).splitlines() if texts else ():
-        indent = " " * (len(line) - len(line.lstrip()) + 2)
-        wrapped = textwrap.fill(
-            line,
-            console.width,
-            subsequent_indent=indent,
-            break_long_words=False,
-            break_on_hyphens=False,
-        )
-        console.print(wrapped, highlight=False, markup=False, soft_wrap=True)
+        console.print(_wrapped(line, console), highlight=False, markup=False, soft_wrap=True)
+
+
+def print_error(error: BaseException) -> None:
+    """Print an error on stderr: wrapped on a terminal, as one line in files and pipes."""
+    console, text = Console(stderr=True), f"smartview: {error}"
+    if sys.stderr.isatty():
+        text = "\n".join(_wrapped(line, console) for line in text.splitlines())
+    typer.echo(text, err=True)
+
+
+def _wrapped(line: str, console: Console) -> str:
+    """Return a line wrapped at the width of a console, with continued lines indented."""
+    return textwrap.fill(
+        line,
+        console.width,
+        subsequent_indent=" " * (len(line) - len(line.lstrip()) + 2),
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def print_steps(steps: Iterable[str]) -> None:
@@ -149,7 +160,7 @@ _NUMBERS = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 @contextmanager
 def errors_reported(debug: bool) -> Iterator[None]:
-    """Print an error that a user can correct as one line, and report an interrupt."""
+    """Print an error that a user can correct, and report an interrupt."""
     try:
         with interrupt_listener():
             yield
@@ -161,7 +172,7 @@ def errors_reported(debug: bool) -> Iterator[None]:
             sys.exit(CLOSED_PIPE_EXIT_CODE)
         if debug:
             raise
-        typer.echo(f"smartview: {error}", err=True)
+        print_error(error)
         sys.exit(2)
 
 

@@ -5,6 +5,7 @@ printed address; requests from other pages, or under another host name, are refu
 """
 
 import secrets
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -71,13 +72,15 @@ def serve_page(
     make_app: Callable[[str, int], Any],
     port: int = 0,
     announce: Callable[[str], None] = lambda address: None,
+    stop: threading.Event | None = None,
 ) -> None:
-    """Serve a page until the process is interrupted.
+    """Serve a page until the process is interrupted, or until an event is set.
 
     Args:
         make_app: returns the ASGI application, given the token and the port.
         port: port to listen on; 0 takes a free one.
         announce: called with the page's address, including the token, when the server listens.
+        stop: ends the server when it is set, by another thread; None for never.
 
     Raises:
         ImportError: starlette or uvicorn is not installed.
@@ -100,4 +103,13 @@ def serve_page(
         # What is served is opened and closed by the caller, so no lifespan events are needed.
         config = uvicorn.Config(app, log_level="warning", lifespan="off", ws="websockets-sansio")
         announce(f"http://{HOST}:{bound_port}/?token={token}")
-        uvicorn.Server(config).run([listener])
+        server = uvicorn.Server(config)
+        if stop is not None:
+            threading.Thread(target=_end_when_set, args=(stop, server), daemon=True).start()
+        server.run([listener])
+
+
+def _end_when_set(stop: threading.Event, server: Any) -> None:
+    """Wait for an event, then end a server, whose pages may still be open."""
+    stop.wait()
+    server.should_exit = server.force_exit = True

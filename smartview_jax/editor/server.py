@@ -203,29 +203,31 @@ def serve(
     session: ModelSession,
     port: int = 0,
     announce: Callable[[str], None] = lambda address: None,
+    stop: threading.Event | None = None,
 ) -> None:
-    """Serve a session until the process is interrupted.
+    """Serve a session until the process is interrupted, or until an event is set.
 
     Args:
         port: port to listen on; 0 takes a free one.
         announce: called with the page's address, including the token, when the server listens.
+        stop: ends the server when it is set, by another thread; None for never.
 
     Raises:
         ImportError: starlette or uvicorn is not installed.
         OSError: the port is in use.
     """
     # The first click is prepared while the user looks at the pictures.
-    stop = threading.Event()
-    preparing = threading.Thread(target=session.prepare, args=(stop,), daemon=True)
+    ended = threading.Event()
+    preparing = threading.Thread(target=session.prepare, args=(ended,), daemon=True)
 
     def make_app(token: str, bound_port: int) -> Any:
         preparing.start()
         return editor_app(session, token, bound_port)
 
     try:
-        serve_page(make_app, port, announce)
+        serve_page(make_app, port, announce, stop)
     finally:
         # A thread that still runs when Python exits would abort the process.
-        stop.set()
+        ended.set()
         if preparing.ident is not None:
             preparing.join()

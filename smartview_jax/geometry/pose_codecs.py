@@ -37,6 +37,7 @@ manual, "Motion characteristics": R = Rz(yaw) Ry(pitch) Rx(roll).
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from itertools import compress
 
 import numpy as np
 from jaxlie import SE3, SO3
@@ -146,9 +147,9 @@ class PoseCodec:
     def _require_rigid(self, rows: np.ndarray, names: tuple[str, ...]) -> None:
         """Raise a ValueError that names the rows that are not rigid transforms, if any."""
         problems = [
-            f"row {name} contains NaN or infinity"
-            for name, row in zip(names, rows, strict=True)
-            if not np.isfinite(row).all()
+            f"row {name} contains NaN or infinity ({', '.join(compress(self.columns, wrong))})"
+            for name, wrong in zip(names, ~np.isfinite(rows), strict=True)
+            if wrong.any()
         ]
         problems = problems or self.check(rows, names)
         if problems:

@@ -13,7 +13,8 @@ from jaxtyping import Float, Int64
 
 from ..argument_checks import errors_at
 from .bag import Bag, Message
-from .bag_sources import ONE_CAMERA, BagSources
+from .bag_sources import BagSources
+from .camera_names import ONE_CAMERA
 from .picture_messages import COMPRESSED, IMAGE
 from .robot_log import JointRecord, RobotLog
 from .tag_messages import POSE_KINDS, pose_of, tag_poses

@@ -3,11 +3,8 @@
 import dataclasses
 from collections.abc import Mapping
 
-from ..dataset import RIG_NAME
 from ..robots import SerialArm
-
-ONE_CAMERA = ""
-"""Name of the only camera of a recording, which needs none."""
+from .camera_names import ONE_CAMERA, by_camera, check_cameras
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,14 +72,7 @@ class BagSources:
     def _check_cameras(self) -> None:
         """Refuse names and topics of several cameras that cannot be told apart."""
         images = self.images
-        if wrong := [name for name in images if name and not RIG_NAME.fullmatch(name)]:
-            raise ValueError(
-                f"image: a camera's name has letters, digits, '_' and '-'; found {wrong[0]!r}"
-            )
-        if isinstance(self.image, Mapping) and (not images or ONE_CAMERA in images):
-            raise ValueError("image: expected a name for each camera")
-        if len({topic for topic in images.values() if topic}) < len(images) > 1:
-            raise ValueError("image: expected another topic for each camera")
+        check_cameras(self.image, "topic")
         if unknown := [name for name in self.camera_infos if name not in images]:
             raise ValueError(
                 f"camera_info: expected topics by the names of the cameras "
@@ -93,7 +83,7 @@ class BagSources:
     @property
     def images(self) -> dict[str, str | None]:
         """The topic of each camera's pictures; one camera has the name `ONE_CAMERA`."""
-        return dict(self.image) if isinstance(self.image, Mapping) else {ONE_CAMERA: self.image}
+        return by_camera(self.image)
 
     @property
     def camera_infos(self) -> dict[str, str]:

@@ -34,11 +34,13 @@ from ..io import (
 from ..targets import AbstractTarget
 from .bag import Bag, open_bag
 from .bag_content import BagContent, Measurements, read_content
-from .bag_sources import ONE_CAMERA, BagSources
+from .bag_sources import BagSources
+from .camera_names import ONE_CAMERA
 from .imported_folder import (
     POSE_FORMAT,
     ImportedFolder,
     TargetText,
+    picture_entries,
     target_text,
     view_names,
     write_description,
@@ -138,7 +140,8 @@ class _Import:
         if self._sources.tag is None:
             first = self._write_pictures(folder, content.cameras, views)
             camera_file = self._write_cameras(folder, content.cameras, first, notes)
-            entries |= self._picture_entries(first, notes)
+            ordered = {name: first[name] for name in self._sources.images}
+            entries |= picture_entries(self._bag.path, ordered, notes)
         else:
             tracked = content.cameras[ONE_CAMERA].tracked
             assert tracked is not None
@@ -231,33 +234,6 @@ class _Import:
                 lost = len(missing[name])
                 raise ValueError(f"{self._bag.path}: topic {topic}: {lost} pictures were lost")
         return first
-
-    def _picture_entries(
-        self, first: Mapping[str, PictureFile], notes: list[str]
-    ) -> dict[str, Any]:
-        """Return the entries of a description that describe the pictures, and add to the notes."""
-        suffixes = {picture.suffix for picture in first.values()}
-        if len(suffixes) > 1:
-            listed = ", ".join(f"{name} {picture.suffix}" for name, picture in first.items())
-            raise ValueError(
-                f"{self._bag.path}: image: expected the pictures of all cameras in one format; "
-                f"found {listed}: import each camera into a folder of its own"
-            )
-        for name, picture in first.items():
-            if picture.bits > 8:
-                of_camera = f" of {name}" if name else ""
-                notes.append(
-                    f"pictures{of_camera}: {picture.bits} bits, kept; detection stretches them to 8"
-                )
-        sizes = {name: {"image_size": list(picture.size)} for name, picture in first.items()}
-        suffix = suffixes.pop()
-        if ONE_CAMERA in first:
-            pattern = f"images/{{view}}{suffix}"
-            return {"camera": sizes[ONE_CAMERA], "pictures": {"pattern": pattern}}
-        return {
-            "cameras": {name: sizes[name] for name in self._sources.images},
-            "pictures": {"pattern": f"images/{{camera}}/{{view}}{suffix}"},
-        }
 
     def _write_cameras(
         self,

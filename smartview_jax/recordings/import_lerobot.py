@@ -5,9 +5,9 @@ The folder has the files of an imported bag (`import_bag`), with pictures in PNG
 
 import dataclasses
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,10 +18,12 @@ from ..geometry import ANGLE_UNITS, as_se3, host_matrices, pose_codec
 from ..io import joints_entry, poses_entry, write_joints, write_poses
 from ..robots import SerialArm
 from ..targets import AbstractTarget
+from .camera_names import ONE_CAMERA, by_camera, check_cameras
 from .imported_folder import (
     POSE_FORMAT,
     ImportedFolder,
     TargetText,
+    picture_entries,
     target_text,
     view_names,
     write_description,
@@ -65,7 +67,8 @@ class LeRobotSources:
     their steps show it.
 
     Attributes:
-        image: feature of the pictures; None for the only one.
+        image: feature of the pictures; None for the only one. Of several cameras: the feature of
+            each, by the camera's name.
         state: feature of the robot's state.
         names: names of the numbers used, in the order of the arm's joints or of the pose format;
             by default all numbers of the state.
@@ -76,7 +79,8 @@ class LeRobotSources:
         episodes: numbers of the episodes used; all of them if empty.
 
     Raises:
-        ValueError: both an arm and a pose format, or neither; joint readings without a unit.
+        ValueError: both an arm and a pose format, or neither; joint readings without a unit; names
+            or features of several cameras that cannot be told apart.
 
     For example:
 
@@ -85,7 +89,7 @@ class LeRobotSources:
         observation.state None
     """
 
-    image: str | None = None
+    image: str | Mapping[str, str] | None = None
     state: str = STATE
     names: tuple[str, ...] = ()
     arm: SerialArm | None = None
@@ -109,6 +113,12 @@ class LeRobotSources:
             raise ValueError(f"angle_unit: expected {units}, found {self.angle_unit!r}")
         if self.pose_format is not None:
             pose_codec(self.pose_format)
+        check_cameras(self.image, "feature")
+
+    @property
+    def images(self) -> dict[str, str | None]:
+        """The feature of each camera's pictures; one camera has the name `ONE_CAMERA`."""
+        return by_camera(self.image)
 
 
 def import_lerobot(
@@ -162,7 +172,7 @@ def _write(
     progress: Callable[[str], None] | None,
 ) -> ImportedFolder:
     report = progress or (lambda _: None)
-    image = recording.image_feature(sources.image)
+    features = {name: recording.image_feature(feature) for name, feature in sources.images.items()}
     numbers = _columns_of_state(recording, sources)
     report("reading the robot's states")
     frames = recording.frames(sources.state, sources.episodes)
@@ -176,14 +186,20 @@ def _write(
     with errors_at(recording.path):
         chosen = choose_moments(frames.stamps, known, frames.stamps, poses, choice)
     view_ids = view_names(len(chosen.indices))
-    notes = [f"pictures: {image}; states: {sources.state}", *chosen.notes]
+    pictures = ", ".join(f"{name} {feature}".lstrip() for name, feature in features.items())
+    notes = [f"pictures: {pictures}; states: {sources.state}", *chosen.notes]
     if choice.every is not None:
         notes.append("pictures in motion have wrong poses where the camera is late")
-    first = _write_pictures(folder, recording, image, frames, chosen.indices, report)
+    # All cameras have a picture at every time of the robot's states.
+    dtypes = {recording.features[feature]["dtype"] for feature in features.values()}
+    views = _Views(frames, chosen.indices, as_png=len(dtypes) > 1)
+    first = {
+        name: _write_pictures(folder, recording, name, feature, views, report)
+        for name, feature in features.items()
+    }
     entries: dict[str, Any] = {
         "mount": mount,
-        "camera": {"image_size": list(first.size)},
-        "pictures": {"pattern": f"images/{{view}}{first.suffix}"},
+        **picture_entries(recording.path, first, notes),
         "poses": poses_entry(len(view_ids), POSE_FORMAT),
     }
     write_poses(folder, view_ids, as_se3(poses[chosen.indices]), POSE_FORMAT)
@@ -193,8 +209,9 @@ def _write(
     imported = ImportedFolder(
         folder, view_ids, chosen.left_out, tuple(notes), None, False, target.is_template
     )
-    stamps = frames.stamps[chosen.indices].tolist()
-    imported.write_record(recording.path.resolve().name, dict(zip(view_ids, stamps, strict=True)))
+    stamps = dict(zip(view_ids, frames.stamps[chosen.indices].tolist(), strict=True))
+    by_name = stamps if ONE_CAMERA in features else {name: dict(stamps) for name in features}
+    imported.write_record(recording.path.resolve().name, by_name)
     write_description(folder, entries, target)
     return imported
 
@@ -252,22 +269,37 @@ def _poses(
     return readings, poses
 
 
+class _Views(NamedTuple):
+    """The frames that become views.
+
+    Attributes:
+        frames: all frames.
+        chosen: indices of the views among them.
+        as_png: whether JPEG files are written as PNG, because another camera has a video.
+    """
+
+    frames: Frames
+    chosen: Int[np.ndarray, "views"]
+    as_png: bool
+
+
 def _write_pictures(
     folder: Path,
     recording: LeRobotDataset,
+    camera: str,
     feature: str,
-    frames: Frames,
-    chosen: Int[np.ndarray, "views"],
+    views: _Views,
     report: Callable[[str], None],
 ) -> PictureFile:
-    """Write the chosen pictures, and return the first."""
+    """Write the views' pictures by a camera, and return the first."""
     first: PictureFile | None = None
-    missing = dict(zip(chosen.tolist(), view_names(len(chosen)), strict=True))
-    for place, picture in recording.pictures(feature, frames, list(missing), report):
+    missing = dict(zip(views.chosen.tolist(), view_names(len(views.chosen)), strict=True))
+    for place, picture in recording.pictures(feature, views.frames, list(missing), report):
         view = missing.pop(place)
         with errors_at(f"{recording.path}: {feature}: view {view}"):
             file = checked_file(picture) if isinstance(picture, bytes) else png_of(picture)
-            first = file.write(folder, view, first)
+            file = file.as_png() if views.as_png else file
+            first = file.write(folder, (Path(camera) / view).as_posix(), first)
     if first is None or missing:
         raise ValueError(f"{recording.path}: {feature}: {len(missing)} pictures are missing")
     return first

@@ -9,6 +9,8 @@ from ..argument_checks import errors_at
 from ..files import dump_yaml, parse_yaml, read_yaml, write_atomically
 from ..io import DESCRIPTION_FILE, TARGETS, marked_entries, read_april_grid, read_target
 from ..targets import AbstractTarget, target_to_dict
+from .camera_names import ONE_CAMERA
+from .picture_messages import PictureFile
 
 RECORD_FILE = "import.yaml"
 """The name of the file that says what was taken from where."""
@@ -69,6 +71,39 @@ def view_names(count: int) -> tuple[str, ...]:
     """Return the names of so many views: 0001, 0002, ..."""
     digits = max(4, len(str(count)))
     return tuple(f"{1 + k:0{digits}d}" for k in range(count))
+
+
+def picture_entries(
+    recording: Path, first: Mapping[str, PictureFile], notes: list[str]
+) -> dict[str, Any]:
+    """Return the entries of a description that describe the pictures, and add to the notes.
+
+    Args:
+        recording: the bag or data set, for errors.
+        first: the first picture of each camera, by its name, in the order of the description.
+        notes: sentences on what was found.
+
+    Raises:
+        ValueError: the pictures of the cameras have different formats.
+    """
+    suffixes = {picture.suffix for picture in first.values()}
+    if len(suffixes) > 1:
+        listed = ", ".join(f"{name} {picture.suffix}" for name, picture in first.items())
+        raise ValueError(
+            f"{recording}: image: expected the pictures of all cameras in one format; "
+            f"found {listed}: import each camera into a folder of its own"
+        )
+    for name, picture in first.items():
+        if picture.bits > 8:
+            of_camera = f" of {name}" if name else ""
+            notes.append(
+                f"pictures{of_camera}: {picture.bits} bits, kept; detection stretches them to 8"
+            )
+    sizes = {name: {"image_size": list(picture.size)} for name, picture in first.items()}
+    suffix = suffixes.pop()
+    if ONE_CAMERA in first:
+        return {"camera": sizes[ONE_CAMERA], "pictures": {"pattern": f"images/{{view}}{suffix}"}}
+    return {"cameras": sizes, "pictures": {"pattern": f"images/{{camera}}/{{view}}{suffix}"}}
 
 
 def write_description(folder: Path, entries: Mapping[str, Any], target: TargetText | None) -> None:

@@ -1,4 +1,4 @@
-"""Read a data set of LeRobot: the robot's states, and the pictures of one camera.
+"""Read a data set of LeRobot: the robot's states, and the pictures of its cameras.
 
     meta/info.json        version, frames per second, and the features: pictures, states, actions
     data/**/*.parquet     a row for each frame: episode, time, states
@@ -91,8 +91,10 @@ class LeRobotDataset:
         if name is None and len(known) == 1:
             return known[0]
         wanted = "one feature of pictures" if name is None else f"pictures {name!r}"
+        several = "; name one of them, or each of them for a rig" if name is None and known else ""
         raise ValueError(
             f"{self.path / INFO_FILE}: expected {wanted}, found {', '.join(known) or 'none'}"
+            f"{several}"
         )
 
     def names(self, feature: str) -> tuple[str, ...]:

@@ -90,13 +90,22 @@ def one_program(function: Callable[_P, _R]) -> Callable[_P, _R]:
     Without this, JAX compiles dozens of small programs for each shape of the arguments. Within
     `jit`, `grad` or `vmap` the function itself is called.
     """
-    program = eqx.filter_jit(function)
+    program = _compiled_when_called(function)
 
     @functools.wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        return (function if is_traced(args, kwargs) else program)(*args, **kwargs)
+        return (function if is_traced(args, kwargs) else program())(*args, **kwargs)
 
     return call
+
+
+def _compiled_when_called(function: Callable[_P, _R]) -> Callable[[], Callable[_P, _R]]:
+    """Return a function that returns the given one compiled, always the same.
+
+    `filter_jit` takes a millisecond to look at a function, and a process calls few of those that
+    it imports.
+    """
+    return functools.cache(lambda: eqx.filter_jit(function))
 
 
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -160,11 +169,11 @@ def _compiled_at_level(
         return store, eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
 
     # Within the trace of another program JAX accepts no compiler options: the outer ones apply.
-    nested = eqx.filter_jit(function)
+    nested = _compiled_when_called(function)
 
     def call(args: Any, kwargs: Any, leaves: list[Any], structure: Any) -> _R:
         if any(isinstance(leaf, Tracer) for leaf in leaves):
-            return nested(*args, **kwargs)
+            return nested()(*args, **kwargs)
         require_double_precision()
         keep_compiled_programs()
         store, top_level = prepared()

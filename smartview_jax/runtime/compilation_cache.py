@@ -25,6 +25,7 @@ import functools
 import os
 import stat
 import tempfile
+import time
 import warnings
 from contextlib import suppress
 from pathlib import Path
@@ -36,6 +37,15 @@ MAX_BYTES = 1_000_000_000
 
 JAX can limit the size by itself, but only where the package filelock is installed.
 """
+
+SECONDS_BETWEEN_REMOVALS = 86_400.0
+"""Shortest time between two removals of old programs from the default folder, s.
+
+A removal looks at every file, which takes every process a tenth of a second for 9000 files.
+"""
+
+LAST_REMOVAL = "last_removal"
+"""The name of the empty file whose time is the last removal's."""
 
 CACHE_SUFFIX, PROGRAM_SUFFIX, TRACE_SUFFIX = "-cache", "-program", "-trace"
 """The suffixes of file names: JAX's cache, and the two kinds of files of `program_store`."""
@@ -68,7 +78,7 @@ def keep_compiled_programs() -> None:
         if not Path(folder).is_dir():
             return
         jax.config.update("jax_compilation_cache_dir", folder)
-        if writable:
+        if writable and _is_removal_due(Path(folder)):
             _remove_least_recently_used(Path(folder), MAX_BYTES)
     is_default = settings["jax_persistent_cache_min_compile_time_secs"] == _JAX_MIN_COMPILE_TIME
     if is_default and "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
@@ -142,11 +152,23 @@ def _why_unsafe(folder: str) -> str:
     )
 
 
+def _is_removal_due(folder: Path) -> bool:
+    """Return whether old programs were not removed for a day, and note that they are now."""
+    mark = folder / LAST_REMOVAL
+    with suppress(OSError):
+        # A clock that was set back leaves a time in the future.
+        if abs(time.time() - mark.stat().st_mtime) < SECONDS_BETWEEN_REMOVALS:
+            return False
+    with suppress(OSError):
+        mark.touch()
+    return True
+
+
 def _remove_least_recently_used(folder: Path, max_bytes: int) -> None:
     """Remove the least recently read programs until the rest is small enough."""
     sizes_by_time: list[tuple[float, int, str]] = []
     suffixes = (CACHE_SUFFIX, PROGRAM_SUFFIX, TRACE_SUFFIX)
-    # Every process looks through thousands of files, which takes pathlib five times as long.
+    # There are thousands of files, which take pathlib five times as long.
     with os.scandir(folder) as entries:
         for entry in entries:
             if not entry.name.endswith(suffixes):
@@ -155,8 +177,8 @@ def _remove_least_recently_used(folder: Path, max_bytes: int) -> None:
             with suppress(OSError):
                 status = entry.stat()
                 # Many file systems record at most one read per day, and some record none.
-                time = max(status.st_atime, status.st_mtime)
-                sizes_by_time.append((time, status.st_size, entry.path))
+                last_use = max(status.st_atime, status.st_mtime)
+                sizes_by_time.append((last_use, status.st_size, entry.path))
     total = 0
     for _, size, path in sorted(sizes_by_time, reverse=True):
         total += size

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress
 
-from smartview_jax.cli.terminal import BarUpdate, StageLines, print_lines, print_steps
+from smartview_jax.cli.terminal import BarUpdate, StageLines, print_error, print_lines, print_steps
 
 
 @pytest.fixture
@@ -86,6 +86,20 @@ def test_prose_is_wrapped_also_in_pipes_and_commands_are_not(capsys):
     command, *steps = capsys.readouterr().out.splitlines()
     assert command == f"  1. smartview check {path}"
     assert len(steps) == 2
+
+
+def test_an_error_is_one_line_in_pipes_and_wrapped_between_words_on_a_terminal(capsys, monkeypatch):
+    error = ValueError(
+        "dataset.yaml: target: no entry is called 'spaceing'; " + "it has rows, " * 5
+    )
+    monkeypatch.setenv("COLUMNS", "40")
+    print_error(error)
+    assert capsys.readouterr().err == f"smartview: {error}\n"
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    print_error(error)
+    first, *rest = capsys.readouterr().err.splitlines()
+    assert all(len(line) <= 40 and line.startswith("  ") for line in (*rest, f"  {first[2:]}"))
+    assert " ".join((first, *map(str.strip, rest))) == f"smartview: {error}".strip()
 
 
 PRINTS_FOR_EVER = """

@@ -167,7 +167,7 @@ def test_a_pose_that_is_none_is_an_error_or_a_masked_view(folder):
         load_dataset(folder)
     data = load_dataset(folder, bad_views="mask")
     assert data.view_ids == ("0", "1", "2", "3")
-    assert data.masked_views == (("1", "quaternion_xyzw: row 1 contains NaN or infinity"),)
+    assert data.masked_views == (("1", "quaternion_xyzw: row 1 contains NaN or infinity (x)"),)
     assert np.asarray(data.visible).any(axis=1).tolist() == [True, False, True, True]
     assert np.isfinite(data.base_from_tool.wxyz_xyz).all()
 

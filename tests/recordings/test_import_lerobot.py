@@ -1,5 +1,6 @@
 """Data sets of LeRobot, written here by pyarrow and PyAV, become data-set folders."""
 
+import dataclasses
 import json
 
 import cv2
@@ -23,7 +24,7 @@ av = pytest.importorskip("av")
 
 FPS = 20
 EPISODES = (stop_poses(2, seed=1), stop_poses(3, seed=2))
-CAMERA = "observation.images.wrist"
+CAMERA, TOP = "observation.images.wrist", "observation.images.top"
 NAMES = ["x", "y", "z", "qx", "qy", "qz", "qw", "gripper"]
 POSES = sv.LeRobotSources(pose_format="quaternion_xyzw", names=tuple(NAMES[:7]))
 WIDTH, HEIGHT = 64, 48
@@ -187,6 +188,54 @@ def test_episodes_may_be_chosen_and_all_pictures_taken(dataset, tmp_path):
     assert "in motion" in written.notes[-1]
 
 
+@pytest.fixture(scope="module")
+def two_cameras(tmp_path_factory):
+    """A camera with videos, and one whose inverted pictures are JPEGs in the rows."""
+    folder = write_dataset(tmp_path_factory.mktemp("lerobot"), "v2.1")
+    for episode in range(len(EPISODES)):
+        table = rows_of(episode)
+        pictures = [255 - picture_of(episode, k) for k in range(len(table["timestamp"]))]
+        files = [cv2.imencode(".jpg", picture)[1].tobytes() for picture in pictures]
+        table[TOP] = [{"bytes": file, "path": None} for file in files]
+        write_table(folder / f"data/chunk-000/episode_{episode:06d}.parquet", table)
+    info = json.loads((folder / "meta/info.json").read_text())
+    info["features"][TOP] = {**info["features"][CAMERA], "dtype": "image"}
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    return folder
+
+
+def test_several_cameras_become_the_folder_of_a_rig(two_cameras, tmp_path):
+    folder = tmp_path / "data"
+    words = ["import", str(two_cameras), str(folder), "--target", "charuco"]
+    words += ["--pose-format", "quaternion_xyzw", "--state-names", ",".join(NAMES[:7])]
+    told = CliRunner().invoke(app, [*words, "--image", f"wrist={CAMERA},top={TOP}"])
+    assert told.exit_code == 0, told.output
+    assert "5 views" in unwrapped(told.output)
+    described = yaml.safe_load((folder / "dataset.yaml").read_text())
+    size = {"image_size": [WIDTH, HEIGHT]}
+    assert described["cameras"] == {"wrist": size, "top": size}
+    poses = host_matrices(read_poses(folder, described["poses"], "raise").poses)
+    stamps = yaml.safe_load((folder / "import.yaml").read_text())["stamps_ns"]
+    assert stamps["wrist"] == stamps["top"]
+    assert described["pictures"]["pattern"] == "images/{camera}/{view}.png"
+    for view, pose in zip(stamps["top"], poses, strict=True):
+        wrist, top = (
+            cv2.imread(str(folder / "images" / name / f"{view}.png")) for name in ("wrist", "top")
+        )
+        episode, number = told_by(wrist)
+        assert told_by(255 - top) == (episode, number)
+        # A stop lasts for a second and a half, 30 frames.
+        close = [moving_pose(EPISODES[episode], (number + 32 * k) / FPS) for k in range(3)]
+        assert min(np.abs(pose - other).max() for other in close) < 1e-6
+
+
+def test_cameras_that_cannot_be_told_apart_are_refused(two_cameras, tmp_path):
+    with pytest.raises(ValueError, match="image: expected another feature for each camera"):
+        dataclasses.replace(POSES, image={"a": CAMERA, "b": CAMERA})
+    with pytest.raises(ValueError, match=f"found {CAMERA}, {TOP}; name one of them, or each"):
+        sv.import_lerobot(two_cameras, tmp_path / "data", POSES, "charuco")
+
+
 def joints_of(pose):
     """Some joint readings that stand when the robot does, degrees, with a gripper."""
     return [*np.round(100.0 * pose[0, :3], 9), *np.round(100.0 * pose[1, :3], 9), 12.0, 50.0]
@@ -232,7 +281,7 @@ def test_joint_readings_in_percent_are_refused(tmp_path):
     [
         ({"names": ("x", "y", "height")}, "no number is called 'height'; there are x, y, z"),
         ({}, r"expected 7 numbers of a pose \(x, y, z, .*\), found x, y, z, qx"),
-        ({"image": "observation.images.top"}, "expected pictures 'observation.images.top', found"),
+        ({"image": TOP}, f"expected pictures {TOP!r}, found"),
         ({"state": "action"}, "a feature of numbers called 'action', found observation.state"),
         ({"names": tuple(NAMES[:7]), "episodes": (5,)}, "no episode 5; there are 2"),
         ({"names": ("y", "x", "z", "gripper", "qx", "qy", "qz")}, "quaternion"),

@@ -10,7 +10,7 @@ import pytest
 
 import smartview_jax
 from smartview_jax.runtime import compilation
-from smartview_jax.runtime.compilation import compiled, compiled_optimised
+from smartview_jax.runtime.compilation import compiled, compiled_optimised, one_program
 
 PACKAGE = Path(smartview_jax.__file__).parent
 
@@ -102,3 +102,12 @@ def test_no_program_is_compiled_otherwise():
         if names & {"jit", "filter_jit"}:
             found.append(str(file.relative_to(PACKAGE)))
     assert found == []
+
+
+def test_a_function_is_looked_at_when_it_is_called(monkeypatch):
+    """A process imports hundreds of functions, and calls a few."""
+    looked_at = []
+    monkeypatch.setattr("equinox.filter_jit", lambda function, **_: looked_at.append(function))
+    for decorate in (compiled, compiled_optimised, one_program):
+        decorate(np.sin)
+    assert not looked_at

@@ -135,19 +135,26 @@ def test_a_folder_of_another_user_is_refused(tmp_path, monkeypatch):
     assert [is_safe(0, 1000), is_safe(1000, 1000), is_safe(0, 0)] == [True, True, True]
 
 
-def test_what_was_not_read_for_longest_is_removed(settings, tmp_path, monkeypatch):
+def test_what_was_not_read_for_longest_is_removed_once_a_day(settings, tmp_path, monkeypatch):
     folder = tmp_path / "smartview_jax"
     folder.mkdir()
     for day, name in enumerate(("old-cache", "middle-cache", "new-cache", "mine.txt")):
         (folder / name).write_bytes(b"x" * 100)
         os.utime(folder / name, (86400.0 * day, 0.0))
+    mark = folder / compilation_cache.LAST_REMOVAL
     settings()
-    assert len(list(folder.iterdir())) == 4
+    assert len(list(folder.iterdir())) == 5
     monkeypatch.setattr(compilation_cache, "MAX_BYTES", 250)
+    mark.unlink()
     settings(jax_compilation_cache_dir=str(folder))
     assert len(list(folder.iterdir())) == 4, "a folder of the user's was emptied"
+    mark.touch()
     settings()
-    assert {path.name for path in folder.iterdir()} == {"middle-cache", "new-cache", "mine.txt"}
+    assert len(list(folder.iterdir())) == 5, "every process looked at every file"
+    os.utime(mark, (0.0, 0.0))
+    settings()
+    rest = {"middle-cache", "new-cache", "mine.txt", mark.name}
+    assert {path.name for path in folder.iterdir()} == rest
 
 
 def test_the_first_program_switches_the_cache_on(monkeypatch):
