@@ -234,11 +234,11 @@ def _joint(sequence: Any, pairs: Any) -> Solution:
     name = "camera_from_tool" if in_hand else "tool_from_world"
     found = host_matrices(getattr(fit.calibration, name))
     X, truth = (np.linalg.inv(x) if in_hand else x for x in (found, np.asarray(sequence.X)))
-    covariance = stated_covariance(fit, name)
-    # Its rows are zero where nothing determines a direction.
-    is_known = all(np.isfinite(fit.std[path]) for path in step_names(name))
+    # What nothing determines is held, or has an infinite standard deviation.
+    if not all(np.isfinite(fit.std.get(path, np.inf)) for path in step_names(name)):
+        return Solution(X)
     errors = transform_errors(found, truth)
-    return Solution(X, float(squared_errors(errors, covariance)) if is_known else np.nan)
+    return Solution(X, float(squared_errors(errors, stated_covariance(fit, name))))
 
 
 def _fit(data: PoseDataset, scale: bool) -> sv.JointFit:
