@@ -128,11 +128,13 @@ class ChangeReport(NamedTuple):
         changes: the change that explains the views best, and others that do so about as well.
         misfit: mean misfit over the views without any change, m and rad.
         score: as in `Change`, without any change.
+        likeliest_kind: kind of the likeliest change of any size, also where it is not named.
     """
 
     changes: tuple[Change, ...]
     misfit: tuple[float, float]
     score: float
+    likeliest_kind: str
 
     @property
     def contradicts(self) -> bool:
@@ -228,7 +230,7 @@ def find_change(
         for change in named
         if change.score <= options.max_rival_ratio * named[0].score
     )
-    return ChangeReport(changes, search.misfit, search.score)
+    return ChangeReport(changes, search.misfit, search.score, next(iter(best_of_kind)))
 
 
 def evidence_of_change(mount_from_holder: SE3, camera_from_world: SE3, first_view: int) -> float:

@@ -34,6 +34,7 @@ class SharedFault(NamedTuple):
         explains_most: whether robot and camera agree far better without it.
         first_view: index of the first view after a change; 0 where every view is wrong.
         may_be_zoom: whether a lens that zoomed once explains the views about as well.
+        excludes_zoom: whether a lens that zoomed once is less likely.
         score: rotation plus translation over the distance to the target, with the fault; infinite
             where it was not compared.
     """
@@ -43,6 +44,7 @@ class SharedFault(NamedTuple):
     explains_most: bool
     first_view: int = 0
     may_be_zoom: bool = False
+    excludes_zoom: bool = False
     score: float = np.inf
 
     def divides(self, agreeing: Bool[np.ndarray, "views"]) -> bool:
@@ -125,8 +127,7 @@ def find_shared_fault(
     zoomed = next((fault for fault in faults if fault.may_be_zoom), None)
     if zoomed is not None:
         return zoomed
-    # A change of one kind was found to be likelier than a zoom at the same view.
-    if focus.is_once and best is not None and best.first_view:
+    if focus.is_once and best is not None and best.excludes_zoom:
         return best
     return SharedFault(focus.sentence(poses.view_ids), False, True)
 
@@ -167,6 +168,7 @@ def _faults(
             change.explains_most,
             best.first_view,
             may_be_zoom=any(named.kind == "zoom" for named in change.changes),
+            excludes_zoom=change.likeliest_kind != "zoom",
             score=best.score,
         )
     if poses.drifts:
