@@ -46,9 +46,6 @@ from .transform_fit import (
 MAX_ZOOM = 5.0
 """Largest ratio of two focal lengths that is taken for a zoom, either way."""
 
-MIN_PROMISE = 0.75
-"""Smallest part of the evidence that a change needs, to first order, with which it is fitted."""
-
 
 @dataclasses.dataclass(frozen=True)
 class ChangeOptions:
@@ -57,6 +54,8 @@ class ChangeOptions:
     Attributes:
         min_odds: smallest odds of a large change that is named. Changes are rare.
         min_odds_of_any_size: the same of a move of the camera of any size.
+        min_promise: smallest part of the evidence that a change needs, to first order, with which
+            it is fitted.
         min_views_on_a_side: fewest views before and after a change. Of six good views of a real
             arm, three may agree with a moved camera by chance.
         max_rival_ratio: ratio to the smallest misfit up to which another kind of change explains
@@ -69,6 +68,7 @@ class ChangeOptions:
 
     min_odds: float = VERY_STRONG_EVIDENCE
     min_odds_of_any_size: float = VERY_STRONG_EVIDENCE
+    min_promise: float = 0.75
     min_views_on_a_side: int = 4
     max_rival_ratio: float = 2.0
     min_score: float = 2e-3
@@ -318,7 +318,7 @@ class _Search(NamedTuple):
         ]
         promise = np.max(promises, axis=0)
         best = np.argsort(-promise)[: options.max_tried_places]
-        return np.sort(places[best[promise[best] > MIN_PROMISE]])
+        return np.sort(places[best[promise[best] > options.min_promise]])
 
     def _by_depth(self, fit: TransformFit) -> Float[np.ndarray, "views 6 1"]:
         """Return the derivatives of closure errors by the share by which depths are larger."""
@@ -360,7 +360,7 @@ class _Search(NamedTuple):
             closure: of all views with that fit.
         """
         other, robot = ~reference, self.robot[~reference]
-        for kind, moved in (("camera", slice(0, 6)), ("target", slice(6, 12))):
+        for kind in ("camera", "target"):
             corrected = closure.copy()
             if kind == "camera":
                 change = mean_matrix(closure[other], np.ones(len(robot)))
@@ -369,7 +369,7 @@ class _Search(NamedTuple):
                 at_target = np.linalg.inv(robot) @ closure[other] @ robot
                 change = mean_matrix(at_target, np.ones(len(robot)))
                 corrected[other] = robot @ np.linalg.inv(change) @ at_target @ np.linalg.inv(robot)
-            of_other = other[:, None, None] * self.by_transforms[:, :, moved]
+            of_other = other[:, None, None] * self.by_transforms[:, :, _COLUMNS[kind]]
             errors, step = self._explained(corrected, of_other)
             change = change @ host_exponentials(step)
             translation, rotation = misfits(change).tolist()

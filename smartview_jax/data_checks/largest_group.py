@@ -127,12 +127,12 @@ class _Search(NamedTuple):
             together &= size * (size - 1) // 2 <= MAX_PAIRS
             agreeing = iter(self.agreeing_with(groups[together]))
             for key, group, is_together in zip(keys, groups, together, strict=True):
-                used = np.isin(np.arange(len(self.robot)), group)
-                results[key] = next(agreeing) if is_together else self._agreeing_with_one(used)
+                results[key] = next(agreeing) if is_together else self._agreeing_with_one(group)
         return [results[key] for key in new]
 
-    def _agreeing_with_one(self, used: _Mask) -> _Mask:
+    def _agreeing_with_one(self, group: Int[np.ndarray, "used"]) -> _Mask:
         """Return the views that agree with transforms fitted to some, whatever their motion."""
+        used = np.isin(np.arange(len(self.robot)), group)
         return self._agreeing(fit_transforms(self.robot, self.camera, used).closure)
 
     def _agreeing(self, closure: Poses) -> Bool[np.ndarray, "*batch views"]:

@@ -1,4 +1,4 @@
-"""Say how much a change at each view would explain of what is left over, to first order.
+"""Compute how much of the remaining errors a change at each view would explain, to first order.
 
 A change at a view adds columns to a linear model that are zero before it. With errors r and columns
 A and K of the model and of the change, all in standard deviations of the errors, the change lowers

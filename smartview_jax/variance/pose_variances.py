@@ -150,7 +150,7 @@ class LikeliestVariances(NamedTuple):
         sizes = np.outer(lengths, lengths)
         if np.linalg.matrix_rank(sizes * inverse, hermitian=True) < unknowns:
             return -np.inf
-        # The deviance is by unknowns of which each changes the predictions by one in all.
+        # The deviance has scaled unknowns: a unit of each changes the predictions by one in all.
         constant = 0.5 * (views * numbers - unknowns) * np.log(2.0 * np.pi)
         return -float(np.log(lengths).sum() + constant)
 
